@@ -1,0 +1,41 @@
+# Everything runs in .venv, made on first use.
+PYTHON ?= python3
+BIN := .venv/bin
+
+.PHONY: study test test-slow bench board lint clean help
+
+help:  ## this list
+	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/'
+
+study: .venv/installed .venv/compiled  ## the nine conditions on simulated people: tables, figure, report.html
+	$(BIN)/python -m guidance.evaluate
+
+test: .venv/installed .venv/compiled  ## the tests, without the long ones
+	$(BIN)/python -m pytest -m 'not slow'
+
+test-slow: .venv/installed .venv/compiled  ## the long ones
+	$(BIN)/python -m pytest -m slow
+
+bench: .venv/installed .venv/compiled  ## speeds of this machine, as one JSON object
+	@$(BIN)/python -m tests.benchmarks
+
+board: .venv/installed  ## TensorBoard on outputs/
+	$(BIN)/tensorboard --logdir outputs
+
+lint: .venv/installed  ## style
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+clean:  ## remove the environment and compiled code; outputs/ stays
+	rm -rf .venv *.egg-info
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+.venv/installed: pyproject.toml constraints.txt
+	$(PYTHON) -m venv .venv
+	$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	@touch $@
+
+# numba's cache does not notice that a function which another one calls has changed
+.venv/compiled: .venv/installed $(shell grep -rl numba --include='*.py' airhockey_marl guidance)
+	@find airhockey_marl guidance -name '*.nb[ic]' -delete
+	@touch $@

@@ -1,0 +1,170 @@
+"""How every command of this project starts: Hydra underneath, a manual for `--help`, one clear line for an error."""
+
+import functools
+import io
+import os
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr
+from pathlib import Path
+
+import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import InstantiationException
+from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf.errors import OmegaConfBaseException
+from tqdm import tqdm
+
+ROOT = Path(__file__).resolve().parents[1]
+CONF = ROOT / "conf"  # absolute: a relative path means something else under a console script
+
+# ${project:path} in a yaml is a path in the project, from whatever folder a command is started.
+OmegaConf.register_new_resolver("project", lambda path: str(ROOT / path), replace=True)
+
+
+class InputError(ValueError):
+    """Something the person at the keyboard can mend: named in one line, exit code 2, no traceback."""
+
+
+@contextmanager
+def input_errors() -> Iterator[None]:
+    """For the part of a command that checks its input: a `ValueError` in it is the input's fault."""
+    try:
+        yield
+    except InstantiationException as error:  # Hydra's wrapping of what a constructor raised
+        raise InputError(str(error.__cause__ or error)) from error
+    except ValueError as error:
+        raise InputError(str(error)) from error
+
+
+def manual(name: str, doc: str) -> str:
+    """The text of `--help`: the command's docstring, the choices of each group, and its primary yaml as commented."""
+    groups = []
+    for folder in sorted(path for path in CONF.iterdir() if path.is_dir() and path.name != "hydra"):
+        options = sorted(path.stem for path in folder.glob("*.yaml"))
+        groups.append(f"  {folder.name} = {' | '.join(options)}")
+    return "\n".join(
+        [
+            doc.strip(),
+            "",
+            "Every key below can be set on the command line: key=value, group=choice, +preset=smoke;",
+            "-m sweeps: key=1,2,3 or 'condition=glob(*)'. --cfg job prints the resolved configuration.",
+            "",
+            "Groups",
+            *groups,
+            "",
+            f"Keys (conf/{name}.yaml)",
+            (CONF / f"{name}.yaml").read_text(encoding="utf-8").rstrip(),
+            "",
+        ]
+    )
+
+
+def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+    """Turn a function of a configuration into a command configured by `conf/<name>.yaml`.
+
+    Wrong values, whether Hydra finds them or the function does (`InputError`), end in one line on standard error
+    and exit code 2. Anything else is a bug and keeps its traceback.
+    """
+
+    def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+        @functools.wraps(task)
+        def main() -> None:
+            if {"--help", "-h"} & set(sys.argv[1:]):
+                print(manual(name, sys.modules[task.__module__].__doc__ or ""))
+                return
+            composing, terminal = io.StringIO(), sys.stderr
+            started = False
+
+            def run(cfg: DictConfig) -> None:
+                nonlocal started
+                started, sys.stderr = True, terminal
+                try:
+                    _keep_own_keys(cfg, name)
+                    OmegaConf.to_container(cfg, resolve=True)  # finds a broken reference now
+                    missing = sorted(OmegaConf.missing_keys(cfg))
+                    if missing:
+                        raise InputError(f"{missing[0]} must be chosen: {missing[0]}=...")
+                    task(cfg)
+                except (InputError, OmegaConfBaseException) as error:
+                    _say_error(str(error))
+                    sys.exit(2)
+
+            os.environ.setdefault("HYDRA_FULL_ERROR", "0")
+            # Hydra reports a wrong override over many lines; hold them back until the task starts.
+            try:
+                with redirect_stderr(composing):
+                    hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(run)()
+            except SystemExit as stop:
+                if started or not stop.code:
+                    raise
+                _say_error(composing.getvalue().split("Set the environment variable")[0])
+                sys.exit(2)
+            if not started:
+                terminal.write(composing.getvalue())
+
+        return main
+
+    return decorate
+
+
+def require_counts(cfg: DictConfig, *keys: str, least: int = 1) -> None:
+    """Refuse keys, dots for nesting, that are not whole numbers of at least `least`.
+
+    Raises:
+        InputError: names the key, its value and what is allowed.
+    """
+    for key in keys:
+        value = OmegaConf.select(cfg, key)
+        if not isinstance(value, int) or isinstance(value, bool) or value < least:
+            raise InputError(f"{key} = {value} must be a whole number of at least {least}")
+
+
+def require_numbers(cfg: DictConfig, *keys: str, above: float = 0.0, at_most: float = float("inf")) -> None:
+    """Refuse keys, dots for nesting, that are not numbers above `above` and at most `at_most`.
+
+    Raises:
+        InputError: names the key, its value and what is allowed.
+    """
+    for key in keys:
+        value = OmegaConf.select(cfg, key)
+        if not isinstance(value, int | float) or isinstance(value, bool) or not above < value <= at_most:
+            bound = "" if at_most == float("inf") else f" and at most {at_most}"
+            raise InputError(f"{key} = {value} must be a number above {above}{bound}")
+
+
+class ProgressBar:
+    """A progress bar on standard error for work that comes in phases; silent where there is no terminal."""
+
+    def __init__(self) -> None:
+        self._bar, self._phase = None, ""
+
+    def __call__(self, phase: str, share: float) -> None:
+        """Show that the share (0 to 1) of this phase is done."""
+        if phase != self._phase:
+            self.close()
+            self._phase, self._bar = phase, tqdm(total=100, desc=phase, unit="%", file=sys.stderr, disable=None)
+        self._bar.update(round(100 * share) - self._bar.n)
+
+    def close(self) -> None:
+        """Leave the last bar as it is."""
+        if self._bar is not None:
+            self._bar.close()
+
+
+def _keep_own_keys(cfg: DictConfig, name: str) -> None:
+    """Drop what a preset brings for other commands; refuse what was typed for this one and does not exist."""
+    primary = OmegaConf.load(CONF / f"{name}.yaml")
+    groups = {key for entry in primary.get("defaults", []) if isinstance(entry, DictConfig) for key in entry}
+    own = groups | set(primary)
+    for override in HydraConfig.get().overrides.task:
+        key = override.lstrip("+~").split("=")[0].split(".")[0].split("@")[0]
+        if key not in own | {"preset"}:
+            raise InputError(f"{override}: {key} is not a key of conf/{name}.yaml")
+    with open_dict(cfg):
+        for key in set(cfg) - own:
+            del cfg[key]
+
+
+def _say_error(text: str) -> None:
+    print("error:", " ".join(text.split()), file=sys.stderr)
