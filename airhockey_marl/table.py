@@ -1,0 +1,306 @@
+"""The air hockey table: where the puck and the two paddles go in one tick of 20 ms.
+
+Everything is in SI units. The origin is the table's centre, x runs along the table toward the right seat, y to
+the left of someone sitting at the left seat. A table's state is `bodies`, a float64 array (3, 4): the rows are
+the left paddle, the right paddle and the puck, the columns x, y, vx, vy.
+
+The functions are scalar and compiled with numba; `tables.Tables` calls `tick` for each table of a batch, so the single
+game and the batch are the same arithmetic, bit for bit.
+
+A tick is a few sub-steps in which every velocity is constant, so each contact's time is a root of a linear or a
+quadratic equation: the earliest is found, everything moves to it, it is resolved, and so on. A puck of any speed
+therefore meets what is in its way. Physics is symmetric under the half turn that swaps the seats.
+"""
+
+from math import hypot, sqrt
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+
+LEFT, RIGHT, PUCK = 0, 1, 2  # rows of `bodies`
+X, Y, VX, VY = 0, 1, 2, 3  # columns of `bodies`
+
+TOUCHED_BY = (1, 2)  # bits of a tick's `touched`, by seat
+
+MAX_CONTACTS = 24  # per sub-step; a puck squeezed between paddle and wall rattles for ever
+NO_CONTACT, AT_LEFT, AT_RIGHT, AT_SIDE, AT_END, AT_POST = -1, LEFT, RIGHT, 2, 3, 4
+
+
+class Table(NamedTuple):
+    """A table and the limits of what moves on it.
+
+    Sizes, wall and paddle restitution are those of the Robot Air Hockey Challenge (Liu et al. 2021, 2024), whose
+    table friction is nearly none. Drag, the paddles' limits and the service are assumptions: with them a hard shot
+    takes 0.35 s from paddle to goal, which a person can just answer.
+    """
+
+    length: float = 1.948  # m
+    width: float = 1.038  # m
+    goal: float = 0.25  # m, mouth of each goal
+    puck_radius: float = 0.03165  # m
+    paddle_radius: float = 0.04815  # m
+    wall_restitution: float = 0.7424
+    paddle_restitution: float = 0.8
+    drag: float = 0.1  # 1/s, air: slows the puck in proportion to its speed
+    friction: float = 0.01  # m/s2, about 0.001 g: stops it in the end
+    paddle_speed: float = 3.0  # m/s
+    paddle_acceleration: float = 60.0  # m/s2
+    serve_speed_low: float = 0.4  # m/s
+    serve_speed_high: float = 1.2  # m/s
+    serve_angle: float = 0.7  # rad, at most, off the table's long axis
+    stall_speed: float = 0.05  # m/s: a puck slower than this ...
+    stall_seconds: float = 2.0  # s: ... for so long is served again
+    possession_seconds: float = 7.0  # s: and so is a puck kept so long in one half (the rule of the USAA)
+    tick: float = 0.02  # s, 50 Hz
+    substeps: int = 4
+
+
+def check_table(table: Table) -> Table:
+    """Return `table` if it can be played on.
+
+    Raises:
+        ValueError: a size, rate or restitution is out of range; names the field, the value and what is allowed.
+    """
+    for name, value in table._asdict().items():
+        lowest = 0 if name in ("drag", "friction", "serve_speed_low", "serve_angle", "stall_speed") else 1e-9
+        if not np.isfinite(value) or value < lowest:
+            raise ValueError(f"table.{name} = {value} must be a number {'of at least' if lowest == 0 else 'above'} 0")
+    for name in ("wall_restitution", "paddle_restitution"):
+        if getattr(table, name) > 1:
+            raise ValueError(f"table.{name} = {getattr(table, name)} must be at most 1")
+    if not 2 * table.puck_radius < table.goal < table.width:
+        raise ValueError(f"table.goal = {table.goal} must be between the puck's diameter and the table's width")
+    if table.width <= 2 * (table.paddle_radius + 2 * table.puck_radius) or table.length <= 2 * table.width / 3:
+        raise ValueError(f"table.width = {table.width}, table.length = {table.length}: too small to play on")
+    if table.serve_speed_high < table.serve_speed_low:
+        raise ValueError(f"table.serve_speed_high = {table.serve_speed_high} is below serve_speed_low")
+    if table.substeps != int(table.substeps):
+        raise ValueError(f"table.substeps = {table.substeps} must be a whole number")
+    return table
+
+
+def reach(table: Table) -> tuple[np.ndarray, np.ndarray]:
+    """Where the left paddle's centre can be: the middle of its side, and how far it gets from there (x, y), in m.
+
+    This is the scale of an action: action 0 is the middle, +-1 are the ends (section 3.1). The right seat has the
+    same after a half turn.
+    """
+    half = np.array([table.length / 4 - table.paddle_radius, table.width / 2 - table.paddle_radius])
+    return np.array([-table.length / 4, 0.0]), half
+
+
+@njit(cache=True, inline="always")
+def clamp(value, low, high):
+    return min(max(value, low), high)
+
+
+@njit(cache=True)
+def _drive_paddle(paddle, seat, goal_x, goal_y, dt, table):
+    """Give the paddle its velocity for this sub-step: toward the goal, as fast as its two limits allow.
+
+    It brakes in time (v^2 = 2 a d), and its own half's bounds end the motion, so it never leaves them.
+    """
+    away_x, away_y = goal_x - paddle[X], goal_y - paddle[Y]
+    distance = hypot(away_x, away_y)
+    speed = min(table.paddle_speed, sqrt(2.0 * table.paddle_acceleration * distance), distance / dt)
+    want_x = speed * away_x / distance if distance > 0.0 else 0.0
+    want_y = speed * away_y / distance if distance > 0.0 else 0.0
+    change_x, change_y = want_x - paddle[VX], want_y - paddle[VY]
+    change = hypot(change_x, change_y)
+    allowed = table.paddle_acceleration * dt
+    if change > allowed:
+        change_x *= allowed / change
+        change_y *= allowed / change
+    velocity_x, velocity_y = paddle[VX] + change_x, paddle[VY] + change_y
+
+    inner, outer = table.paddle_radius, table.length / 2 - table.paddle_radius
+    low_x, high_x = (-outer, -inner) if seat == LEFT else (inner, outer)
+    side = table.width / 2 - table.paddle_radius
+    if not low_x <= paddle[X] + velocity_x * dt <= high_x:
+        velocity_x = (clamp(paddle[X] + velocity_x * dt, low_x, high_x) - paddle[X]) / dt
+    if not -side <= paddle[Y] + velocity_y * dt <= side:
+        velocity_y = (clamp(paddle[Y] + velocity_y * dt, -side, side) - paddle[Y]) / dt
+    paddle[VX], paddle[VY] = velocity_x, velocity_y
+
+
+@njit(cache=True, inline="always")
+def _time_to_circle(gap_x, gap_y, velocity_x, velocity_y, radius):
+    """When a point at `gap` from a circle's centre, moving at `velocity` relative to it, meets it; inf if never."""
+    closing = gap_x * velocity_x + gap_y * velocity_y
+    if closing >= 0.0:
+        return np.inf
+    outside = gap_x * gap_x + gap_y * gap_y - radius * radius
+    if outside <= 0.0:
+        return 0.0
+    speed2 = velocity_x * velocity_x + velocity_y * velocity_y
+    root = closing * closing - speed2 * outside
+    if root < 0.0:
+        return np.inf
+    return outside / (sqrt(root) - closing)  # the smaller root, without cancellation
+
+
+@njit(cache=True)
+def _first_contact(bodies, table):
+    """The puck's next contact if every velocity stays: (seconds until then, which, y of the post if it is one)."""
+    puck = bodies[PUCK]
+    soonest, which, post = np.inf, NO_CONTACT, 0.0
+    touching = table.puck_radius + table.paddle_radius
+    for seat in (LEFT, RIGHT):
+        paddle = bodies[seat]
+        time = _time_to_circle(
+            puck[X] - paddle[X], puck[Y] - paddle[Y], puck[VX] - paddle[VX], puck[VY] - paddle[VY], touching
+        )
+        if time < soonest:
+            soonest, which = time, seat
+    if puck[VY] != 0.0:
+        room = table.width / 2 - table.puck_radius - (puck[Y] if puck[VY] > 0.0 else -puck[Y])
+        time = max(room, 0.0) / abs(puck[VY])
+        if time < soonest:
+            soonest, which = time, AT_SIDE
+    if puck[VX] != 0.0:
+        end = table.length / 2
+        ahead = puck[X] if puck[VX] > 0.0 else -puck[X]
+        time = max(end - table.puck_radius - ahead, 0.0) / abs(puck[VX])
+        mouth = abs(puck[Y] + puck[VY] * time) < table.goal / 2
+        if time < soonest and not mouth:
+            soonest, which = time, AT_END
+        post_x = end if puck[VX] > 0.0 else -end
+        for post_y in (table.goal / 2, -table.goal / 2):
+            time = _time_to_circle(puck[X] - post_x, puck[Y] - post_y, puck[VX], puck[VY], table.puck_radius)
+            if time < soonest:
+                soonest, which, post = time, AT_POST, post_y
+    return soonest, which, post
+
+
+@njit(cache=True, inline="always")
+def _bounce(puck, normal_x, normal_y, wall_x, wall_y, restitution):
+    """Reflect the puck off something moving at `wall`, whose surface points along the unit `normal`."""
+    approach = (puck[VX] - wall_x) * normal_x + (puck[VY] - wall_y) * normal_y
+    if approach < 0.0:
+        puck[VX] -= (1.0 + restitution) * approach * normal_x
+        puck[VY] -= (1.0 + restitution) * approach * normal_y
+
+
+@njit(cache=True)
+def _resolve(bodies, which, post, table):
+    puck = bodies[PUCK]
+    if which in (AT_LEFT, AT_RIGHT):
+        paddle = bodies[which]
+        gap_x, gap_y = puck[X] - paddle[X], puck[Y] - paddle[Y]
+        gap = hypot(gap_x, gap_y)
+        if gap > 0.0:
+            _bounce(puck, gap_x / gap, gap_y / gap, paddle[VX], paddle[VY], table.paddle_restitution)
+    elif which == AT_SIDE:
+        _bounce(puck, 0.0, -1.0 if puck[VY] > 0.0 else 1.0, 0.0, 0.0, table.wall_restitution)
+    elif which == AT_END:
+        _bounce(puck, -1.0 if puck[VX] > 0.0 else 1.0, 0.0, 0.0, 0.0, table.wall_restitution)
+    else:
+        gap_x = puck[X] - (table.length / 2 if puck[VX] > 0.0 else -table.length / 2)
+        gap_y = puck[Y] - post
+        gap = hypot(gap_x, gap_y)
+        _bounce(puck, gap_x / gap, gap_y / gap, 0.0, 0.0, table.wall_restitution)
+
+
+@njit(cache=True)
+def _keep_on_table(puck, table):
+    side, end = table.width / 2 - table.puck_radius, table.length / 2 - table.puck_radius
+    puck[Y] = clamp(puck[Y], -side, side)
+    if abs(puck[Y]) >= table.goal / 2:
+        puck[X] = clamp(puck[X], -end, end)
+    elif abs(puck[X]) > end:  # in a goal's mouth: off its posts
+        post_x = table.length / 2 if puck[X] > 0.0 else -table.length / 2
+        post_y = table.goal / 2 if puck[Y] > 0.0 else -table.goal / 2
+        gap_x, gap_y = puck[X] - post_x, puck[Y] - post_y
+        gap = hypot(gap_x, gap_y)
+        if 0.0 < gap < table.puck_radius:
+            puck[X] = post_x + gap_x * table.puck_radius / gap
+            puck[Y] = post_y + gap_y * table.puck_radius / gap
+
+
+@njit(cache=True)
+def _separate(bodies, table):
+    """Undo what overlap rounding or a squeeze has left: the puck gives way, and at a wall the paddle does."""
+    puck = bodies[PUCK]
+    touching = table.puck_radius + table.paddle_radius
+    _keep_on_table(puck, table)
+    for seat in (LEFT, RIGHT):
+        paddle = bodies[seat]
+        gap_x, gap_y = puck[X] - paddle[X], puck[Y] - paddle[Y]
+        gap = hypot(gap_x, gap_y)
+        if gap >= touching:
+            continue
+        if gap == 0.0:  # no direction: toward the table's centre
+            gap_x, gap_y, gap = (1.0 if seat == LEFT else -1.0), 0.0, 1.0
+        puck[X] = paddle[X] + gap_x / gap * touching
+        puck[Y] = paddle[Y] + gap_y / gap * touching
+        _keep_on_table(puck, table)
+        gap_x, gap_y = paddle[X] - puck[X], paddle[Y] - puck[Y]
+        gap = hypot(gap_x, gap_y)
+        if 0.0 < gap < touching:
+            inner, outer = table.paddle_radius, table.length / 2 - table.paddle_radius
+            low_x, high_x = (-outer, -inner) if seat == LEFT else (inner, outer)
+            side = table.width / 2 - table.paddle_radius
+            paddle[X] = clamp(puck[X] + gap_x / gap * touching, low_x, high_x)
+            paddle[Y] = clamp(puck[Y] + gap_y / gap * touching, -side, side)
+
+
+@njit(cache=True, inline="always")
+def _advance(bodies, seconds):
+    for body in range(3):
+        bodies[body, X] += bodies[body, VX] * seconds
+        bodies[body, Y] += bodies[body, VY] * seconds
+
+
+@njit(cache=True)
+def tick(bodies, targets, table):
+    """Move one table by one tick (`table.tick` seconds), in place.
+
+    Args:
+        bodies: (3, 4) the state, see the module's docstring.
+        targets: (2, 2) the places each seat wants its paddle at, in m in the table's frame; a target that is not a
+            number means stay.
+        table: the `Table`.
+
+    Returns:
+        goal: +1 if the left seat scored, -1 if the right one did, 0 otherwise. The puck then stays in the goal.
+        touched: bits of `TOUCHED_BY`: the seats whose paddle hit the puck.
+    """
+    dt = table.tick / table.substeps
+    end = table.length / 2
+    puck = bodies[PUCK]
+    touched = 0
+    for _ in range(table.substeps):
+        for seat in (LEFT, RIGHT):
+            goal_x, goal_y = targets[seat, X], targets[seat, Y]
+            if not (np.isfinite(goal_x) and np.isfinite(goal_y)):
+                goal_x, goal_y = bodies[seat, X], bodies[seat, Y]
+            _drive_paddle(bodies[seat], seat, goal_x, goal_y, dt, table)
+        speed = hypot(puck[VX], puck[VY])
+        if speed > 0.0:
+            kept = max(0.0, 1.0 - dt * (table.drag + table.friction / speed))
+            puck[VX] *= kept
+            puck[VY] *= kept
+
+        left_over = dt
+        for _ in range(MAX_CONTACTS):
+            time, which, post = _first_contact(bodies, table)
+            if which == NO_CONTACT or time >= left_over:
+                _advance(bodies, left_over)
+                left_over = 0.0
+                break
+            _advance(bodies, time)
+            left_over -= time
+            if abs(puck[X]) > end:
+                break
+            if which <= AT_RIGHT:
+                touched |= 1 << which
+            _resolve(bodies, which, post, table)
+        if abs(puck[X]) > end:
+            return (1 if puck[X] > 0.0 else -1), touched
+        if left_over > 0.0:  # squeezed: the paddles finish their way, the puck rides on them
+            for seat in (LEFT, RIGHT):
+                bodies[seat, X] += bodies[seat, VX] * left_over
+                bodies[seat, Y] += bodies[seat, VY] * left_over
+        _separate(bodies, table)
+    return 0, touched
