@@ -1,0 +1,28 @@
+"""The paper's model."""
+
+import pytest
+import torch
+
+from airhockey_marl.policy import OPTIMAL_ACTION_HIDDEN, USER_PREDICTION_HIDDEN, GaussianPolicy
+
+
+@pytest.mark.parametrize(("hidden", "layers"), [(OPTIMAL_ACTION_HIDDEN, 2), (USER_PREDICTION_HIDDEN, 4)])
+def test_the_models_have_the_papers_shape(hidden, layers):
+    model = GaussianPolicy(hidden)
+    sizes = [module.out_features for module in model.modules() if isinstance(module, torch.nn.Linear)]
+    assert sizes == [*hidden, 4] and len(hidden) == layers
+    assert sum(isinstance(module, torch.nn.ReLU) for module in model.modules()) == layers
+
+
+def test_std_is_a_sigmoid_and_mean_is_free():
+    model = GaussianPolicy()
+    with torch.no_grad():
+        model.head.weight *= 1000
+    mean, std = model(10 * torch.randn(5, 7, 12))
+    assert mean.shape == std.shape == (5, 7, 2)
+    assert ((std >= 0) & (std <= 1)).all() and mean.abs().max() > 1
+
+
+def test_no_layers_is_refused():
+    with pytest.raises(ValueError, match="hidden"):
+        GaussianPolicy([])
