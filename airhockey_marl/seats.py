@@ -1,0 +1,46 @@
+"""Two policies at one table, as TorchRL's collectors see them: who acts where, and what the learner lived through."""
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule
+from torch import nn
+from torchrl.modules import IndependentNormal, ProbabilisticActor
+
+from airhockey_marl.shaping import Shaping
+
+LEARNER, OPPONENT = "left", "right"  # seats are alike, so the learner always takes the left one
+
+
+def actor(seat: str, policy: nn.Module) -> ProbabilisticActor:
+    """Let a policy act in a seat, sampling from its Gaussian."""
+    return ProbabilisticActor(
+        TensorDictModule(policy, in_keys=[(seat, "observation")], out_keys=[(seat, "loc"), (seat, "scale")]),
+        in_keys={"loc": (seat, "loc"), "scale": (seat, "scale")},
+        out_keys=[(seat, "action")],
+        distribution_class=IndependentNormal,
+    )
+
+
+class Seat(nn.Module):
+    """A place for a policy that can be given up to another while a collector runs."""
+
+    def __init__(self, policy: nn.Module) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        return self.policy(observation)
+
+
+def learner_view(data: TensorDictBase, shaping: Shaping, strength: float, gamma: float) -> TensorDictBase:
+    """What one seat lived through: (tables, ticks) with observation (.., 12), action (.., 2), reward (.., 1), next."""
+    view = data.select((LEARNER, "observation"), (LEARNER, "action"))[LEARNER].squeeze(-1)
+    following = data["next"].select("done", "terminated", "truncated")
+    following["observation"] = data["next", LEARNER, "observation"].squeeze(-2)
+    following["reward"] = data["next", LEARNER, "reward"].squeeze(-2)
+    if strength > 0:
+        following["reward"] += strength * shaping.reward(
+            view["observation"], following["observation"], following["terminated"], gamma
+        )
+    view["next"] = following
+    return view
