@@ -1,0 +1,229 @@
+"""Model-agnostic meta-learning (MAML): Eq. 1 and Eq. 2, for any module and any loss.
+
+The core is functional. The parameters of a model are a TensorDict, a loss is a function of them, and :func:`adapt`
+returns new ones through which gradients of any order flow; the model is never written to. Users are a leading dimension
+that ``torch.vmap`` runs over, so the adapted parameters of nine users are one TensorDict of batch size (9,)::
+
+    params = parameters(model)
+
+
+    def loss(params, data):
+        observation, action = data
+        return mse_loss(forward(model, params, observation), action)
+
+
+    meta_loss(params, loss, demo, valid, lr=0.1).backward()  # demo, valid: (users, ticks, ...)
+    adapted = adapt_each(params, loss, demo, lr=0.1)  # (users,)
+    forward_each(model, adapted, observation)  # (users, ticks, 12) -> (users, ticks, 2)
+
+:class:`MAML` offers the same step as two verbs, clone and adapt, for loops over users in the manner of learn2learn.
+
+Source: section 3.2.3 of the paper; Finn, Abbeel and Levine, ICML 2017.
+"""
+
+import copy
+import math
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torch.func import functional_call, grad
+
+Loss = Callable[[TensorDict], Tensor]
+"""L(theta): parameters to a scalar."""
+
+DataLoss = Callable[[TensorDict, Any], Tensor]
+"""L(theta, D): parameters and one user's data (any tree of tensors) to a scalar."""
+
+
+def parameters(model: nn.Module) -> TensorDict:
+    """The parameters of ``model``, nested like its modules.
+
+    They are the very tensors, not copies: gradients arrive where an optimiser of ``model.parameters()`` looks. Unlike
+    ``TensorDict.from_module`` it leaves buffers out (a gradient step must not move a constant) and names a parameter
+    shared by two modules once (else the copies would drift apart).
+    """
+    return TensorDict(dict(model.named_parameters())).unflatten_keys(".")
+
+
+def forward(model: nn.Module, params: TensorDict, *inputs: Tensor) -> Any:
+    """``model(*inputs)`` under ``params``; parameters that ``params`` does not name keep the model's own values.
+
+    Not ``with params.to_module(model)``: that leaves its parameters in the model when the call raises.
+
+    Args:
+        model: any module; not changed.
+        params: parameters named like those of ``model``.
+        inputs: what the model takes.
+
+    Returns:
+        What the model returns, a tuple too.
+    """
+    return functional_call(model, params.flatten_keys(".").to_dict(), inputs)
+
+
+def forward_each(model: nn.Module, params: TensorDict, *inputs: Tensor) -> Any:
+    """Every user's own model on his or her own inputs, in one batched call.
+
+    Args:
+        model: any module; not changed.
+        params: stacked parameters of batch size (users,), as from :func:`adapt_each`.
+        inputs: tensors (users, n, ...).
+
+    Returns:
+        What the model returns, with the leading dimension users: (users, n, ...).
+
+    Raises:
+        ValueError: ``params`` and ``inputs`` do not have the same number of users.
+    """
+    for tensor in inputs:
+        if params.ndim != 1 or tensor.shape[:1] != params.shape:
+            raise ValueError(
+                f"inputs: shape {tuple(tensor.shape)}, must begin with the batch size of params, "
+                f"here {tuple(params.shape)}, in general (users,)"
+            )
+    return torch.vmap(partial(forward, model))(params, *inputs)
+
+
+def adapt(params: TensorDict, loss: Loss, lr: float, steps: int = 1, first_order: bool = False) -> TensorDict:
+    """Gradient descent on ``loss``: Eq. 1, theta_adapt = theta - alpha grad L(theta, D_demo).
+
+    Differentiable with respect to ``params`` and to whatever ``loss`` has captured; call it under ``torch.no_grad()``
+    where that graph is not wanted.
+
+    Args:
+        params: theta, from :func:`parameters` or from an earlier adaptation; not changed.
+        loss: L(., D_demo).
+        lr: alpha > 0, the inner learning rate.
+        steps: gradient steps >= 1, one in the paper.
+        first_order: take the inner gradient for a constant, which saves the second derivatives (FOMAML).
+
+    Returns:
+        theta_adapt, shaped like ``params``.
+
+    Raises:
+        ValueError: ``lr`` or ``steps`` out of range, or a leaf of ``params`` is not floating point.
+    """
+    _require_rate(lr)
+    if steps < 1:
+        raise ValueError(f"steps: {steps}, must be at least 1")
+    for name, leaf in params.items(include_nested=True, leaves_only=True):
+        if not leaf.is_floating_point():
+            raise ValueError(f"params: {name} has dtype {leaf.dtype}, must be floating point")
+    for _ in range(steps):
+        params = _descend(params, grad(loss)(params), lr, first_order)
+    return params
+
+
+def adapt_each(
+    params: TensorDict, loss: DataLoss, demo: Any, lr: float, steps: int = 1, first_order: bool = False
+) -> TensorDict:
+    """Eq. 1 for every user, from the same ``params``.
+
+    Args:
+        params: theta.
+        loss: L(theta, D) for one user.
+        demo: D_demo of all users: a tensor, tuple or TensorDict whose tensors are (users, ...).
+        lr: see :func:`adapt`.
+        steps: see :func:`adapt`.
+        first_order: see :func:`adapt`.
+
+    Returns:
+        The adapted parameters stacked, batch size (users,).
+
+    Raises:
+        ValueError: as :func:`adapt`, or the tensors of ``demo`` differ in the number of users.
+    """
+
+    def adapt_one(data: Any) -> TensorDict:
+        return adapt(params, lambda theta: loss(theta, data), lr, steps, first_order)
+
+    return torch.vmap(adapt_one)(demo)
+
+
+def meta_loss(
+    params: TensorDict, loss: DataLoss, demo: Any, valid: Any, lr: float, steps: int = 1, first_order: bool = False
+) -> Tensor:
+    """The objective of meta-learning: Eq. 2, the sum over users of L(theta_adapt, D_valid).
+
+    Args:
+        params: theta; the gradient of the result with respect to it is the meta-gradient.
+        loss: L(theta, D) for one user.
+        demo: D_demo of all users, tensors (users, ...).
+        valid: D_valid of the same users in the same order, tensors (users, ...).
+        lr: see :func:`adapt`.
+        steps: see :func:`adapt`.
+        first_order: see :func:`adapt`.
+
+    Returns:
+        A scalar.
+
+    Raises:
+        ValueError: as :func:`adapt`, or ``demo`` and ``valid`` differ in the number of users.
+    """
+    return torch.vmap(loss)(adapt_each(params, loss, demo, lr, steps, first_order), valid).sum()
+
+
+class MAML:
+    """A model that learns to adapt, with the two verbs of learn2learn: ``clone`` and ``adapt``.
+
+    ::
+
+        maml, optimizer = MAML(model, lr=0.1), Adam(model.parameters())
+        for demo, valid in users:
+            learner = maml.clone()
+            learner.adapt(loss(learner(demo.x), demo.y))
+            loss(learner(valid.x), valid.y).backward()
+        optimizer.step()
+
+    ``meta_loss`` computes the same for all users at once.
+
+    Attributes:
+        model: the module; never changed by adaptation.
+        params: the parameters this learner uses, at first those of the model.
+
+    Raises:
+        ValueError: ``lr`` is not positive and finite.
+    """
+
+    def __init__(self, model: nn.Module, lr: float, first_order: bool = False):
+        _require_rate(lr)
+        self.model, self.lr, self.first_order = model, lr, first_order
+        self.params = parameters(model)
+
+    def clone(self) -> "MAML":
+        """A learner that starts from these parameters; its adaptation leaves this one alone."""
+        return copy.copy(self)  # adapt replaces params and never writes into them, so both may hold the same tensors
+
+    def adapt(self, loss: Tensor) -> None:
+        """One gradient step, Eq. 1, down a scalar that was computed with this learner.
+
+        Raises:
+            ValueError: ``loss`` is not a scalar with a gradient.
+        """
+        if loss.ndim or not loss.requires_grad:
+            raise ValueError(f"loss: {loss}, must be a scalar that requires grad")
+        names = list(self.params.keys(include_nested=True, leaves_only=True))
+        leaves = [self.params[name] for name in names]
+        gradients = torch.autograd.grad(loss, leaves, create_graph=not self.first_order, materialize_grads=True)
+        gradient = TensorDict(dict(zip(names, gradients, strict=True)))
+        self.params = _descend(self.params, gradient, self.lr, self.first_order)
+
+    def __call__(self, *inputs: Tensor) -> Any:
+        """The model under the parameters of this learner."""
+        return forward(self.model, self.params, *inputs)
+
+
+def _descend(params: TensorDict, gradient: TensorDict, lr: float, first_order: bool) -> TensorDict:
+    if first_order:
+        gradient = gradient.detach()
+    # Leaf by leaf: arithmetic on whole TensorDicts does not pass through vmap.
+    return params.apply(lambda p, g: p - lr * g, gradient)
+
+
+def _require_rate(lr: float) -> None:
+    if not 0 < lr < math.inf:
+        raise ValueError(f"lr: {lr}, must be positive and finite")

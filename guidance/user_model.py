@@ -1,0 +1,281 @@
+"""Training the user prediction model: its loss (Eq. 3), with and without meta-learning, and user adaptation (UA).
+
+The model is any module that maps a game state (..., 12) to the mean (..., 2) and the standard deviation (..., 2) of the
+user's next action. Both trainers change it in place and are generators: one epoch a step, nothing before the first
+``next``, and what each epoch measured in a dict, for a progress bar or a log::
+
+    for metrics in train_maml(model, demonstrations, generator=generator):
+        log(metrics)
+
+Source: section 3.2.3 of the paper.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+
+from guidance.maml import adapt_each, forward, meta_loss, parameters
+
+Samples = tuple[Tensor, Tensor]
+"""Observations (..., n, 12) and the actions (..., n, 2) taken on them."""
+
+
+@dataclass(frozen=True)
+class Demonstrations:
+    """D^U: what users did in games without guidance, tick by tick.
+
+    Every user has the same number of games, every game the same number of ticks; ticks are contiguous in time.
+
+    Attributes:
+        observation: (users, games, ticks, 12), floating point and finite.
+        action: (users, games, ticks, 2), likewise, of the same dtype.
+
+    Raises:
+        ValueError: a shape or dtype is wrong, the two disagree, or a value is not finite.
+    """
+
+    observation: Tensor
+    action: Tensor
+
+    def __post_init__(self) -> None:
+        for name, size in (("observation", 12), ("action", 2)):
+            tensor = getattr(self, name)
+            shape = tuple(tensor.shape)
+            if tensor.ndim != 4 or tensor.shape[-1] != size or not tensor.numel():
+                raise ValueError(f"{name}: shape {shape}, must be (users, games, ticks, {size}) and not empty")
+            if not tensor.is_floating_point():
+                raise ValueError(f"{name}: dtype {tensor.dtype}, must be floating point")
+            if not tensor.isfinite().all():
+                raise ValueError(f"{name}: {int((~tensor.isfinite()).sum())} values are not finite, all must be")
+        if self.action.shape[:3] != self.observation.shape[:3] or self.action.dtype != self.observation.dtype:
+            raise ValueError(
+                f"action: shape {tuple(self.action.shape)} and dtype {self.action.dtype}, must match observation: "
+                f"{tuple(self.observation.shape)}, {self.observation.dtype}"
+            )
+
+    def batches(self, size: int, generator: torch.Generator | None = None) -> Iterator[Samples]:
+        """All ticks of all users once, shuffled, in batches (size, .); the last may be smaller.
+
+        Raises:
+            ValueError: ``size`` is less than 1.
+        """
+        if size < 1:
+            raise ValueError(f"size: {size}, must be at least 1")
+        observation, action = self.observation.flatten(0, 2), self.action.flatten(0, 2)  # (n, 12), (n, 2)
+        for index in torch.randperm(len(action), generator=generator).split(size):
+            index = index.to(action.device)
+            yield observation[index], action[index]
+
+    def pairs(self, block: int, generator: torch.Generator | None = None) -> Iterator[tuple[Samples, Samples]]:
+        """D_demo and D_valid of all users, for one meta-step after the other.
+
+        Games are cut into blocks of contiguous ticks. Each block is used at most once, and the two blocks of a pair
+        come from different games of the same user, so that a model adapted to one is judged on play it has not seen.
+        Left out are the ticks of a game after its last whole block and, of an odd number of blocks, one.
+
+        Args:
+            block: ticks of D_demo and of D_valid; 1K in the paper.
+            generator: source of the random pairing.
+
+        Yields:
+            Two pairs of observation (users, block, 12) and action (users, block, 2).
+
+        Raises:
+            ValueError: there are fewer than two games a user, or ``block`` is not within 1 and the ticks of a game.
+        """
+        users, games, ticks = self.action.shape[:3]
+        if games < 2:
+            raise ValueError(f"games: {games}, must be at least 2 a user, one to adapt to and one to validate on")
+        if not 1 <= block <= ticks:
+            raise ValueError(f"block: {block} ticks, must be within 1 and {ticks}, the ticks of a game")
+        per_game = ticks // block
+
+        def cut(tensor: Tensor) -> Tensor:  # (users, games, ticks, .) -> (users, blocks, block, .)
+            return tensor[:, :, : per_game * block].unflatten(2, (per_game, block)).flatten(1, 2)
+
+        observation, action = cut(self.observation), cut(self.action)
+        # Blocks in random order, but game by game: whatever lies half the list apart is then from two games, for no
+        # game owns more than half of the blocks.
+        game = torch.rand(users, games, generator=generator).argsort(dim=1).double()  # a random rank for each
+        within = torch.rand(users, games, per_game, generator=generator, dtype=torch.float64)  # in [0, 1)
+        order = (game[..., None] + within).flatten(1).argsort(dim=1).to(action.device)  # (users, blocks)
+        half = games * per_game // 2
+        user = torch.arange(users, device=action.device)
+        for demo, valid in zip(order[:, :half].T, order[:, half : 2 * half].T, strict=True):  # each (users,)
+            yield (observation[user, demo], action[user, demo]), (observation[user, valid], action[user, valid])
+
+
+def prediction_loss(mean: Tensor, std: Tensor, action: Tensor) -> Tensor:
+    """The loss of the user prediction model: Eq. 3, as printed.
+
+    ||sigma||^2 is the sum over both axes. At a fixed error the loss is least where ||sigma||^2 equals the squared error
+    ||y - y_hat||^2, so the norm of the STD comes to mean the size of the error; how the axes share it is not trained.
+    (The likelihood of a two-dimensional Gaussian would weigh the logarithm differently; this is the paper's loss.)
+
+    Args:
+        mean: y_hat, the predicted mean, (..., 2), in units of action.
+        std: sigma, the predicted standard deviation > 0, (..., 2).
+        action: y, the action taken, (..., 2).
+
+    Returns:
+        The mean over all N samples, a scalar.
+
+    Raises:
+        ValueError: the shapes are not all the same (..., 2), or a dtype is not floating point.
+    """
+    for name, tensor in (("mean", mean), ("std", std), ("action", action)):
+        if tensor.ndim == 0 or tensor.shape[-1] != 2 or tensor.shape != action.shape:
+            raise ValueError(f"{name}: shape {tuple(tensor.shape)}, must be (..., 2) and that of action")
+        if not tensor.is_floating_point():
+            raise ValueError(f"{name}: dtype {tensor.dtype}, must be floating point")
+    variance = std.square().sum(dim=-1)  # ||sigma||^2, (...)
+    squared_error = (action - mean).square().sum(dim=-1)  # (...)
+    return (squared_error / (2 * variance) + variance.log() / 2).mean()
+
+
+def train_supervised(
+    model: nn.Module,
+    data: Demonstrations,
+    epochs: int = 100,
+    batch_size: int = 1000,
+    lr: float = 1e-3,
+    generator: torch.Generator | None = None,
+) -> Iterator[dict[str, float]]:
+    """Trains one model for all users, without UA: Adam on Eq. 3.
+
+    Args:
+        model: state (..., 12) to mean and STD; changed in place.
+        data: demonstrations of all users, taken together.
+        epochs: passes over the data.
+        batch_size: ticks of an update, drawn from all users and games.
+        lr: learning rate of Adam.
+        generator: source of the shuffling; the global one if None.
+
+    Yields:
+        After each epoch ``epoch`` (from 1) and ``loss``, the mean over its ticks, measured while the model changed.
+
+    Raises:
+        ValueError: ``epochs``, ``batch_size`` or ``lr`` is out of range.
+        FloatingPointError: the loss or its gradient is no longer finite.
+    """
+    _require_schedule(epochs, lr)
+    optimizer = torch.optim.Adam(model.parameters(), lr)
+    for epoch in range(1, epochs + 1):
+        total, ticks = 0.0, 0
+        for observation, action in data.batches(batch_size, generator):
+            mean, std = model(observation)
+            loss = prediction_loss(mean, std, action)
+            _update(optimizer, loss, epoch)
+            total, ticks = total + loss.item() * len(action), ticks + len(action)
+        yield {"epoch": epoch, "loss": total / ticks}
+
+
+def train_maml(
+    model: nn.Module,
+    data: Demonstrations,
+    epochs: int = 200,
+    block: int = 1000,
+    inner_lr: float = 0.1,
+    lr: float = 1e-3,
+    steps: int = 1,
+    first_order: bool = False,
+    max_norm: float = math.inf,
+    generator: torch.Generator | None = None,
+) -> Iterator[dict[str, float]]:
+    """Trains the parameters from which one gradient step adapts to a user: Adam on Eq. 2.
+
+    A meta-step takes two blocks of every user. The paper does not define an epoch; here it is the meta-steps that use
+    every block once: 360K ticks / (9 users x 2 x 1K) = 20.
+
+    Args:
+        model: state (..., 12) to mean and STD; changed in place, to theta.
+        data: demonstrations of all users, two games or more each.
+        epochs: passes over the data.
+        block: ticks of D_demo and of D_valid of a user in a meta-step.
+        inner_lr: alpha of Eq. 1.
+        lr: learning rate of Adam.
+        steps: inner gradient steps.
+        first_order: leave the second derivatives out.
+        max_norm: the norm, over all parameters, to which the gradient of Eq. 2 is clipped. The paper mentions no
+            clipping, hence inf. But once the STD is small, 1 / ||sigma||^2 makes an inner step of 0.1 steep and the
+            meta-gradient now and then a hundred times its median, which throws training back; try 10.
+        generator: source of the pairing; the global one if None.
+
+    Yields:
+        After each epoch ``epoch`` (from 1), ``loss``, the mean over users and meta-steps of L(theta_adapt, D_valid),
+        and ``loss_before``, the same without adaptation, L(theta, D_valid); both measured while the model changed.
+
+    Raises:
+        ValueError: a number is out of range, or the data have fewer than two games a user.
+        FloatingPointError: the loss or its gradient is no longer finite.
+    """
+    _require_schedule(epochs, lr)
+    if not max_norm > 0:
+        raise ValueError(f"max_norm: {max_norm}, must be positive, inf for no clipping")
+    optimizer = torch.optim.Adam(model.parameters(), lr)
+    params, objective, users = parameters(model), partial(_data_loss, model), len(data.action)
+    for epoch in range(1, epochs + 1):
+        after, before = [], []
+        for demo, valid in data.pairs(block, generator):
+            with torch.no_grad():
+                before.append(objective(params, valid).item())
+            loss = meta_loss(params, objective, demo, valid, inner_lr, steps, first_order)
+            _update(optimizer, loss, epoch, max_norm)
+            after.append(loss.item() / users)
+        yield {"epoch": epoch, "loss": sum(after) / len(after), "loss_before": sum(before) / len(before)}
+
+
+@torch.no_grad()
+def adapt_to_user(
+    model: nn.Module, params: TensorDict, observation: Tensor, action: Tensor, lr: float, steps: int = 1
+) -> TensorDict:
+    """User adaptation (UA): Eq. 1 for each of many users at once.
+
+    Args:
+        model: state (..., 12) to mean and STD; not changed.
+        params: theta, the meta-trained parameters, usually ``parameters(model)``; not changed.
+        observation: states of D_demo, (users, ticks, 12).
+        action: actions of D_demo, (users, ticks, 2).
+        lr: alpha, the inner learning rate ``params`` were trained for.
+        steps: gradient steps, likewise; one in the paper.
+
+    Returns:
+        Each user's parameters, batch size (users,), without a graph; for :func:`guidance.maml.forward_each`, or
+        ``adapted[i]`` for one user.
+
+    Raises:
+        ValueError: a shape is wrong, or ``lr`` or ``steps`` is out of range.
+    """
+    if observation.ndim != 3 or observation.shape[-1] != 12:
+        raise ValueError(f"observation: shape {tuple(observation.shape)}, must be (users, ticks, 12)")
+    if action.shape != (*observation.shape[:2], 2):
+        raise ValueError(f"action: shape {tuple(action.shape)}, must be {(*observation.shape[:2], 2)}")
+    return adapt_each(params, partial(_data_loss, model), (observation, action), lr, steps)
+
+
+def _data_loss(model: nn.Module, params: TensorDict, data: Samples) -> Tensor:
+    """L(theta, D)."""
+    observation, action = data
+    mean, std = forward(model, params, observation)
+    return prediction_loss(mean, std, action)
+
+
+def _update(optimizer: torch.optim.Optimizer, loss: Tensor, epoch: int, max_norm: float = math.inf) -> None:
+    optimizer.zero_grad()
+    loss.backward()
+    norm = nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], max_norm)
+    if not (loss.isfinite() and norm.isfinite()):  # before the step: the model is left as it last was
+        raise FloatingPointError(f"loss: {loss.item()}, gradient {norm.item()} in epoch {epoch}, must be finite")
+    optimizer.step()
+
+
+def _require_schedule(epochs: int, lr: float) -> None:
+    if epochs < 1:
+        raise ValueError(f"epochs: {epochs}, must be at least 1")
+    if not 0 < lr < math.inf:
+        raise ValueError(f"lr: {lr}, must be positive and finite")
