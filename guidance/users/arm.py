@@ -1,0 +1,164 @@
+"""The hand at the device: a minimum-acceleration plan, motor noise, and an arm that a force can push.
+
+Metres of the hand, newtons, seconds. Scalar and compiled; an arm and a person are records of `ARM` and `PERSON`.
+"""
+
+from math import exp, hypot, sqrt
+
+import numpy as np
+from numba import njit
+
+from guidance.users.perception import standard_normal
+
+HAND_REACH = 0.075  # m of hand travel for |action| = 1, the workspace of an Omega.7: beyond is a stop
+SUBSTEPS = 5  # of the arm in one tick
+NOISE_HELD = 0.05  # s
+CARRY_THROUGH = 0.05  # s that a hand which ends its plan in motion goes on, through the contact, [A]
+SLOW_DOWN = 0.06  # s, time constant of its slowing down afterwards, [A]
+SHORTEST_PLAN = 0.04  # s
+STIFFEST = 4.0  # times the relaxed stiffness
+
+# An arm: where the hand is and what moves it. `ref` is the plan as executed, that is with motor noise.
+_PAIRS = ("hand", "hand_v", "muscle", "ref", "start_v", "lead_in", "bend", "twist", "end_v")
+ARM = np.dtype(
+    [(name + axis, np.float64) for name in _PAIRS for axis in ("_x", "_y")]
+    + [("plan_seconds", np.float64), ("plan_age", np.float64), ("effort", np.float64)]
+)
+
+
+@njit(cache=True)
+def rest(arm):
+    """The hand still at the centre, and nothing planned."""
+    arm.hand_x = arm.hand_y = arm.hand_v_x = arm.hand_v_y = 0.0
+    arm.muscle_x = arm.muscle_y = arm.effort = 0.0
+    arm.end_v_x = arm.end_v_y = 0.0
+    arm.plan_seconds = arm.plan_age = 0.0
+    begin_plan(arm, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0)
+
+
+@njit(cache=True)
+def cubic(away_x, away_y, v_x, v_y, end_v_x, end_v_y, seconds):
+    """The motion of least mean squared acceleration over `away` from velocity `v` to `end_v`, both axes.
+
+    x0 + v t + c2 t^2 + c3 t^3 with c2 = (3 (g - x0) - (2 v + g') T) / T^2, c3 = (-2 (g - x0) + (v + g') T) / T^3.
+
+    Returns:
+        c2 x, c2 y, c3 x, c3 y.
+    """
+    return (
+        (3.0 * away_x - (2.0 * v_x + end_v_x) * seconds) / seconds**2,
+        (3.0 * away_y - (2.0 * v_y + end_v_y) * seconds) / seconds**2,
+        (-2.0 * away_x + (v_x + end_v_x) * seconds) / seconds**3,
+        (-2.0 * away_y + (v_y + end_v_y) * seconds) / seconds**3,
+    )
+
+
+@njit(cache=True)
+def start_of_plan(arm, lag):
+    """Where a plan made now can begin: x, y, vx, vy of the hand in `lag` seconds, until then moved as planned before.
+
+    What is commanded now moves the hand only once the muscles follow; a practised person plans from there.
+    """
+    now_x, now_y = _planned_velocity(arm, arm.plan_age)
+    then_x, then_y = _planned_velocity(arm, arm.plan_age + lag)
+    v_x, v_y = arm.hand_v_x + then_x - now_x, arm.hand_v_y + then_y - now_y
+    x = arm.hand_x + 0.5 * lag * (arm.hand_v_x + v_x)
+    y = arm.hand_y + 0.5 * lag * (arm.hand_v_y + v_y)
+    return x, y, v_x, v_y
+
+
+@njit(cache=True)
+def begin_plan(arm, goal_x, goal_y, end_v_x, end_v_y, seconds, lag):
+    """Plan to be at `goal` in `seconds` at velocity `end_v`, from where the hand is after the muscles' `lag`."""
+    x, y, v_x, v_y = start_of_plan(arm, lag)
+    arm.lead_in_x = (v_x - arm.hand_v_x) / lag if lag > 0.0 else 0.0
+    arm.lead_in_y = (v_y - arm.hand_v_y) / lag if lag > 0.0 else 0.0
+    seconds = max(seconds - lag, SHORTEST_PLAN)
+    arm.bend_x, arm.bend_y, arm.twist_x, arm.twist_y = cubic(
+        goal_x - x, goal_y - y, v_x, v_y, end_v_x, end_v_y, seconds
+    )
+    arm.ref_x, arm.ref_y = arm.hand_x, arm.hand_y
+    arm.start_v_x, arm.start_v_y, arm.end_v_x, arm.end_v_y = v_x, v_y, end_v_x, end_v_y
+    arm.plan_seconds, arm.plan_age = seconds, -lag
+
+
+@njit(cache=True)
+def hardest_acceleration(away_x, away_y, v_x, v_y, end_v_x, end_v_y, seconds):
+    """The largest acceleration in m/s2 that the cubic needs: at one of its ends."""
+    bend_x, bend_y, twist_x, twist_y = cubic(away_x, away_y, v_x, v_y, end_v_x, end_v_y, seconds)
+    first = 2.0 * hypot(bend_x, bend_y)
+    last = hypot(2.0 * bend_x + 6.0 * twist_x * seconds, 2.0 * bend_y + 6.0 * twist_y * seconds)
+    return max(first, last)
+
+
+@njit(cache=True)
+def _planned_velocity(arm, age):
+    if age < 0.0:
+        return arm.start_v_x + arm.lead_in_x * age, arm.start_v_y + arm.lead_in_y * age
+    if age < arm.plan_seconds:
+        return (
+            arm.start_v_x + 2.0 * arm.bend_x * age + 3.0 * arm.twist_x * age * age,
+            arm.start_v_y + 2.0 * arm.bend_y * age + 3.0 * arm.twist_y * age * age,
+        )
+    left = exp(-max(age - arm.plan_seconds - CARRY_THROUGH, 0.0) / SLOW_DOWN)
+    return arm.end_v_x * left, arm.end_v_y * left
+
+
+@njit(cache=True)
+def _planned_acceleration(arm, age):
+    if age < 0.0:
+        return arm.lead_in_x, arm.lead_in_y
+    if age < arm.plan_seconds:
+        return 2.0 * arm.bend_x + 6.0 * arm.twist_x * age, 2.0 * arm.bend_y + 6.0 * arm.twist_y * age
+    late = age - arm.plan_seconds - CARRY_THROUGH
+    left = -exp(-late / SLOW_DOWN) / SLOW_DOWN if late > 0.0 else 0.0
+    return arm.end_v_x * left, arm.end_v_y * left
+
+
+@njit(cache=True)
+def draw_motor_noise(person, mind, dt, rng, index):
+    """Hold the motor noise of this person for 50 ms, then draw it anew: shares of speed along and across the motion."""
+    mind.noise_left -= dt
+    if mind.noise_left < 0.5 * dt:
+        mind.noise_left += NOISE_HELD
+        mind.noise_along = person.noise_along * standard_normal(rng, index)
+        mind.noise_across = person.noise_across * standard_normal(rng, index)
+
+
+@njit(cache=True)
+def move_arm(arm, person, mind, stiffness, push_x, push_y, force_x, force_y, dt):
+    """Move the hand by `dt`.
+
+        (M_h + M_dev) x'' = a + F_v + K_h (r_exec - x) + B_h (r'_exec - x') + b_dev (r' - x') + F_HG
+        tau_m a' = -a + (M_h + M_dev) r''(t + tau_m)
+
+    The command runs ahead of the plan by the muscle's own lag, which a practised motor system has learned.
+
+    Args:
+        stiffness: K_h, N/m; its damping B_h grows with its root.
+        push_x, push_y: F_v, what the person adds on purpose, N.
+        force_x, force_y: F_HG, the force of the device on the hand, N.
+    """
+    mass = person.arm_mass + person.device_mass
+    damping = person.damping_time * sqrt(person.stiffness * stiffness)
+    arm.plan_age += dt
+    plan_x, plan_y = _planned_velocity(arm, arm.plan_age)
+    exec_x = plan_x + plan_x * mind.noise_along - plan_y * mind.noise_across
+    exec_y = plan_y + plan_y * mind.noise_along + plan_x * mind.noise_across
+    arm.ref_x += exec_x * dt
+    arm.ref_y += exec_y * dt
+    want_x, want_y = _planned_acceleration(arm, arm.plan_age + person.muscle_lag)
+    gain = 1.0 - exp(-dt / person.muscle_lag)
+    arm.muscle_x += gain * (mass * want_x - arm.muscle_x)
+    arm.muscle_y += gain * (mass * want_y - arm.muscle_y)
+    own_x = arm.muscle_x + push_x + stiffness * (arm.ref_x - arm.hand_x) + damping * (exec_x - arm.hand_v_x)
+    own_y = arm.muscle_y + push_y + stiffness * (arm.ref_y - arm.hand_y) + damping * (exec_y - arm.hand_v_y)
+    arm.effort = hypot(own_x, own_y)
+    arm.hand_v_x += dt * (own_x + person.device_damping * (plan_x - arm.hand_v_x) + force_x) / mass
+    arm.hand_v_y += dt * (own_y + person.device_damping * (plan_y - arm.hand_v_y) + force_y) / mass
+    arm.hand_x += dt * arm.hand_v_x
+    arm.hand_y += dt * arm.hand_v_y
+    if abs(arm.hand_x) > HAND_REACH:
+        arm.hand_x, arm.hand_v_x = (HAND_REACH if arm.hand_x > 0.0 else -HAND_REACH), 0.0
+    if abs(arm.hand_y) > HAND_REACH:
+        arm.hand_y, arm.hand_v_y = (HAND_REACH if arm.hand_y > 0.0 else -HAND_REACH), 0.0

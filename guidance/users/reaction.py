@@ -1,0 +1,90 @@
+"""How a person answers the force at the hand, after the delay of touch.
+
+Three variants, always reported together, because the literature disagrees:
+    V0: the arm is passive.
+    V1: conflict stiffens the arm and is pushed back; support is slacked on.
+    V2: V1, and the force is read as a partner's goal, which moves the own goal as far as the partner is trusted.
+"""
+
+from enum import IntEnum
+from math import exp, hypot
+
+from numba import njit
+
+from guidance.users.arm import STIFFEST
+
+FELT_FROM = 0.05  # N, [A]
+AIM_SIZE = 0.005  # m: nearer to the goal than this, no direction is one's own
+FULL_CONFLICT = 2.0  # N, makes the arm as stiff as it gets
+TRUST_MEMORY = 10.0  # s
+TRUST_AT_FIRST = 0.5
+BELIEVED_AHEAD = 0.3  # s, when the partner's goal should have been reached
+
+
+class Variant(IntEnum):
+    """Which of the three models of a person's answer."""
+
+    V0 = 0
+    V1 = 1
+    V2 = 2
+
+
+@njit(cache=True)
+def agreement(force_x, force_y, away_x, away_y):
+    """How much of a force helps on the way `away` to the own goal, and how much of it is against it, both in N.
+
+    At the goal itself (5 mm) there is no way to help: all of it conflicts.
+    """
+    size = hypot(force_x, force_y)
+    distance = hypot(away_x, away_y)
+    if size == 0.0:
+        return 0.0, 0.0
+    sure = distance / (distance + AIM_SIZE)
+    cosine = (force_x * away_x + force_y * away_y) / (size * distance) if distance > 0.0 else 0.0
+    return sure * max(0.0, cosine) * size, (sure * max(0.0, -cosine) + 1.0 - sure) * size
+
+
+@njit(cache=True)
+def answer(person, mind, hand_x, hand_y, felt_x, felt_y, variant, tick):
+    """Let co-contraction and the deliberate push follow the force felt, for one tick of `tick` seconds.
+
+    Returns:
+        The conflict, N.
+    """
+    support, conflict = agreement(felt_x, felt_y, mind.goal_x - hand_x, mind.goal_y - hand_y)
+    if variant == Variant.V0:
+        return conflict
+    tense = min(conflict / FULL_CONFLICT, 1.0)
+    mind.co_contraction += (1.0 - exp(-tick / person.stiffening_lag)) * (tense - mind.co_contraction)
+    size = hypot(felt_x, felt_y)
+    share = (person.resistance * conflict + person.slacking * support) / size if size > 0.0 else 0.0
+    follow = 1.0 - exp(-tick / person.muscle_lag)
+    mind.push_x += follow * (-share * felt_x - mind.push_x)
+    mind.push_y += follow * (-share * felt_y - mind.push_y)
+    return conflict
+
+
+@njit(cache=True)
+def stiffness_now(person, mind):
+    """K_h in N/m: relaxed stiffness, raised by co-contraction, at most fourfold."""
+    return person.stiffness * min(1.0 + person.stiffening * mind.co_contraction, STIFFEST)
+
+
+@njit(cache=True)
+def learn_trust(person, mind, meant_x, meant_y, hand_x, hand_y, tick):
+    """Trust the partner whose goal of 0.3 s ago, `meant`, is where the hand is now."""
+    off = hypot(meant_x - hand_x, meant_y - hand_y) / person.sharing_range
+    mind.trust += (1.0 - exp(-tick / TRUST_MEMORY)) * (1.0 / (1.0 + off * off) - mind.trust)
+
+
+@njit(cache=True)
+def shared_goal(person, mind, hand_x, hand_y, felt_x, felt_y):
+    """The own goal, drawn toward the goal a spring of the believed stiffness would have: m of the hand."""
+    goal_x, goal_y = mind.goal_x, mind.goal_y
+    if felt_x == 0.0 and felt_y == 0.0:
+        return goal_x, goal_y
+    off_x = hand_x + felt_x / person.believed_stiffness - goal_x
+    off_y = hand_y + felt_y / person.believed_stiffness - goal_y
+    near = (off_x * off_x + off_y * off_y) / (2.0 * person.sharing_range * person.sharing_range)
+    weight = person.sharing * mind.trust * exp(-near)
+    return goal_x + weight * off_x, goal_y + weight * off_y
