@@ -1,0 +1,173 @@
+"""The trained models a guidance needs, their files, and the forces of many conditions at once."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+
+from airhockey_marl.files import load_tensors, save_tensors, sha256
+from airhockey_marl.league import League
+from airhockey_marl.policy import GaussianPolicy
+from guidance.conditions import ADAPTED, OPTIMAL, USER, Condition, Guided, Target
+from guidance.forces import lookahead
+from guidance.maml import forward_each, parameters
+from guidance.user_model import adapt_to_user
+
+
+def load_league(path: Path | str) -> League:
+    """Read a league of optimal action models, as `airhockey_marl.train` writes it.
+
+    Raises:
+        ValueError: the file is missing, broken, or not of the shape it says it is.
+    """
+    tensors, facts = load_tensors(path)
+    if "hidden" not in facts:
+        raise ValueError(f"{path} does not say its hidden sizes: not a file of this project")
+    try:
+        return League.from_stacked(GaussianPolicy(facts["hidden"]), tensors)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def save_user_model(path: Path | str, model: GaussianPolicy, facts: dict) -> None:
+    """Write a user prediction model; `facts` (any JSON) travel with it."""
+    save_tensors(path, model.state_dict(), {**facts, "hidden": list(model.hidden)})
+
+
+def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
+    """Read a user prediction model and its facts.
+
+    Raises:
+        ValueError: the file is missing, broken, or not of the shape it says it is.
+    """
+    tensors, facts = load_tensors(path)
+    if "hidden" not in facts:
+        raise ValueError(f"{path} does not say its hidden sizes: not a file of this project")
+    model = GaussianPolicy(facts["hidden"])
+    try:
+        model.load_state_dict(tensors)
+    except RuntimeError as error:
+        raise ValueError(f"{path}: {' '.join(str(error).split())}") from error
+    return model.requires_grad_(False), facts
+
+
+@dataclass(frozen=True)
+class Models:
+    """What the guidances ask.
+
+    Attributes:
+        optimal: the optimal action model (OAHG).
+        user: the user prediction model for people in general (UPHG without UA).
+        meta: the meta-learned one, to be adapted to a user (UA).
+        inner_lr: alpha of Eq. 1, with which `meta` was trained.
+        hashes: SHA-256 of the file of each.
+    """
+
+    optimal: nn.Module
+    user: nn.Module
+    meta: nn.Module
+    inner_lr: float
+    hashes: dict[str, str]
+
+    @classmethod
+    def load(cls, league: Path | str, generation: int, user: Path | str, meta: Path | str) -> "Models":
+        """Read the models from their files.
+
+        Raises:
+            ValueError: a file is missing or broken, or the league has no such generation.
+        """
+        meta_model, facts = load_user_model(meta)
+        if "inner_lr" not in facts:
+            raise ValueError(f"{meta} was not meta-learned: it has no inner_lr")
+        return cls(
+            optimal=load_league(league).player(generation),
+            user=load_user_model(user)[0],
+            meta=meta_model,
+            inner_lr=facts["inner_lr"],
+            hashes={"league": sha256(league), "user": sha256(user), "meta": sha256(meta)},
+        )
+
+    def adapted_to(self, demonstrations: Sequence[tuple[Tensor, Tensor]]) -> TensorDict:
+        """User adaptation (UA, Eq. 1): `meta` after one step on each user's own game.
+
+        Args:
+            demonstrations: per user the observations (ticks, 12) and the actions (ticks, 2) of the game; games differ
+                in length.
+
+        Returns:
+            The adapted parameters, batch size (users,).
+        """
+        theta = parameters(self.meta)
+        return torch.cat([adapt_to_user(self.meta, theta, x[None], y[None], self.inner_lr) for x, y in demonstrations])
+
+
+class Guide:
+    """The forces of several conditions for the same users, in one call.
+
+    Rows are ordered condition by condition: row c * users + u is user u under condition c.
+
+    Args:
+        conditions: what to evaluate.
+        users: how many there are.
+        models: see `Models`.
+        adapted: the users' own parameters, batch size (users,), or None if no condition has UA.
+        lookahead_seconds: T_lookahead of Eq. 4.
+
+    Raises:
+        ValueError: a condition has UA and nobody's parameters are given, or the look-ahead is negative.
+    """
+
+    def __init__(
+        self,
+        conditions: Sequence[Condition],
+        users: int,
+        models: Models,
+        adapted: TensorDict | None,
+        lookahead_seconds: float,
+    ) -> None:
+        if not 0 <= lookahead_seconds < float("inf"):
+            raise ValueError(f"guidance.lookahead = {lookahead_seconds} must be at least 0 seconds")
+        self.conditions, self.users, self.models = list(conditions), users, models
+        self.lookahead_seconds = lookahead_seconds
+        self._asking = {
+            name: [c for c, condition in enumerate(self.conditions) if name in condition.guidance.models()]
+            for name in (OPTIMAL, USER, ADAPTED)
+        }
+        if self._asking[ADAPTED] and (adapted is None or adapted.batch_size != (users,)):
+            raise ValueError(f"adapted: needs the parameters of each of the {users} users")
+        self.adapted = adapted
+
+    @torch.no_grad()
+    def __call__(self, state: np.ndarray, action: np.ndarray) -> Guided:
+        """Force and weights for states (n, 12) in m and m/s and actions (n, 2), n = conditions x users.
+
+        Returns:
+            `Guided` of float64 arrays' tensors: force (n, 2); weights (n,), not a number where a row has none.
+        """
+        conditions, users = len(self.conditions), self.users
+        anticipated = lookahead(torch.from_numpy(state).float(), self.lookahead_seconds).view(conditions, users, -1)
+        hand = torch.from_numpy(action).float().view(conditions, users, 2)
+        targets = {name: self._ask(name, anticipated[asking]) for name, asking in self._asking.items() if asking}
+        places = {name: {c: i for i, c in enumerate(asking)} for name, asking in self._asking.items()}
+
+        answer = Guided(torch.zeros(conditions, users, 2), *torch.full((3, conditions, users), torch.nan))
+        for c, condition in enumerate(self.conditions):
+            wanted = condition.guidance.models()
+            mine = {name: Target(*(part[places[name][c]] for part in targets[name])) for name in wanted}
+            for whole, part in zip(answer, condition.guidance(hand[c], mine), strict=True):
+                if part is not None:
+                    whole[c] = part
+        return Guided(*(part.flatten(0, 1).double() for part in answer))
+
+    def _ask(self, model: str, state: Tensor) -> Target:
+        """Mean and STD (conditions, users, 2) at states (conditions, users, 12)."""
+        if model == OPTIMAL:
+            return Target(*self.models.optimal(state))
+        if model == USER:
+            return Target(*self.models.user(state))
+        mean, std = forward_each(self.models.meta, self.adapted, state.transpose(0, 1))
+        return Target(mean.transpose(0, 1), std.transpose(0, 1))
