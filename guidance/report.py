@@ -1,0 +1,279 @@
+"""The report of a study: the paper's tables and Figure 6 with the paper's numbers beside ours.
+
+`python -m guidance.report runs=outputs/evaluate/...` gathers every trials.csv below the given folders (one run, or the
+runs of a sweep over conditions) and writes tests.csv, figure6.png, figure6.svg and report.html.
+"""
+
+import base64
+import glob
+import io
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import matplotlib
+import numpy as np
+import pandas as pd
+from hydra.core.hydra_config import HydraConfig
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from omegaconf import DictConfig
+
+from airhockey_marl.cli import InputError, command
+from airhockey_marl.files import replacing, sha256, write_text
+from guidance.answers import QUESTIONS, answers
+from guidance.figures import figure6
+from guidance.stats import (
+    CONDITIONS,
+    EVIDENCE,
+    FAMILIES,
+    METRICS,
+    check_trials,
+    compare_with_paper,
+    published,
+    reference_points,
+    run_tests,
+    summary,
+)
+
+SHORT = ("win rate", "smash", "defense", "disagree", "helpful", "natural", "control", "comfort")
+
+
+def write_report(trials: pd.DataFrame, folder: Path | str, manifest: Mapping[str, Any]) -> pd.DataFrame:
+    """Test the trials and write tests.csv, figure6.png, figure6.svg and report.html into `folder`.
+
+    Every file is replaced whole. report.html holds its style and its figure and loads nothing.
+
+    Args:
+        trials: one row per participant and condition, the columns of `trials.csv`; any subset of the conditions.
+        folder: created if absent.
+        manifest: what the trials came from (hashes of the models, seeds, versions, configuration); shown as it is.
+            `frozen`, if False, makes the report say that the run is not the frozen study.
+
+    Returns:
+        The tests, see `guidance.stats.run_tests`.
+
+    Raises:
+        ValueError: no trials, or trials that `guidance.stats.check_trials` refuses.
+    """
+    if trials.empty:
+        raise ValueError("no trials to report")
+    folder = Path(folder)
+    tests = run_tests(trials)
+    with replacing(folder / "tests.csv") as path:
+        tests.to_csv(path, index=False)
+    # no date and a fixed salt: the same trials give the same bytes
+    with matplotlib.rc_context({"svg.hashsalt": "figure6", "font.family": "DejaVu Sans"}):
+        figure, svg = figure6(trials), io.BytesIO()
+        with replacing(folder / "figure6.png") as path:
+            figure.savefig(path, dpi=150)
+        figure.savefig(svg, format="svg", metadata={"Date": None})
+    with replacing(folder / "figure6.svg") as path:
+        path.write_bytes(svg.getvalue())
+    write_text(folder / "report.html", _page(trials, tests, svg.getvalue(), manifest))
+    return tests
+
+
+def screen_table(trials: pd.DataFrame) -> str:
+    """The means of the eight metrics per condition as aligned text, 97 characters wide, for a terminal."""
+    means = trials.groupby("condition")[list(METRICS)].mean()
+    width, gap = 22, 9
+    lines = [f"{'':{width + 4 * gap}} | {'PROXY of the 7-point ratings':^{4 * gap}}"]
+    cells = [("condition", [f"{name:>{gap}}" for name in SHORT])]
+    for name in _present(trials):
+        condition = CONDITIONS[name]
+        values = ["–" if np.isnan(value) else f"{value:.2f}" for value in means.loc[name]]
+        cells.append((f"({condition.letter}) {condition.label}", [f"{value:>{gap}}" for value in values]))
+    lines += [f"{label:{width}}{''.join(row[:4])} | {''.join(row[4:])}" for label, row in cells]
+    return "\n".join(lines)
+
+
+def find_trials(runs: Iterable[str | Path]) -> list[Path]:
+    """Every trials file at or below the given files, folders or glob patterns, each once.
+
+    Raises:
+        ValueError: a pattern under which there is none.
+    """
+    found: dict[Path, Path] = {}
+    for run in runs:
+        # a sweep's folder may have brackets or stars in its own name: what exists is taken literally
+        places = (
+            [Path(run)]
+            if Path(run).exists()
+            else [Path(match) for match in sorted(glob.glob(str(run), recursive=True))]
+        )
+        files = [file for place in places for file in ([place] if place.is_file() else place.rglob("trials.csv"))]
+        if not files:
+            raise ValueError(f"no trials.csv at or below {run}")
+        found |= {file.resolve(): file for file in sorted(files)}
+    return list(found.values())
+
+
+def merge(folders: Iterable[str | Path]) -> pd.DataFrame:
+    """Concatenate every trials.csv at or below the given files, folders or glob patterns.
+
+    Raises:
+        ValueError: nothing found, an unreadable or empty file, a participant's game in a condition that occurs twice
+            with the same seed, or runs whose manifest.json tell of different studies (`study_hash`).
+    """
+    files = find_trials(folders)
+    studies: dict[str, list[str]] = {}
+    for file in files:
+        if "study_hash" in (manifest := _manifest(file)):
+            studies.setdefault(manifest["study_hash"], []).append(str(file.parent))
+    if len(studies) > 1:
+        named = "; ".join(f"{study}: {', '.join(places)}" for study, places in studies.items())
+        raise ValueError(f"these runs are of different studies and cannot be merged: {named}")
+    trials = pd.concat([_read(file) for file in files], ignore_index=True)
+    key = ["user", "condition", "seed"]
+    if (repeated := trials[trials.duplicated(key)][key].drop_duplicates()).size:
+        named = ", ".join(f"{row.user} {row.condition} (seed {row.seed})" for row in repeated.itertuples())
+        raise ValueError(f"the same game more than once: {named}")
+    return trials
+
+
+def _read(file: Path) -> pd.DataFrame:
+    try:
+        trials = pd.read_csv(file, dtype={"user": "str", "condition": "str"})
+    except ValueError as error:  # pandas' parser errors are ValueErrors, and do not name the file
+        raise ValueError(f"{file}: {error}") from error
+    if absent := [column for column in ("user", "condition", "seed", *METRICS) if column not in trials]:
+        raise ValueError(f"{file} lacks the columns {', '.join(absent)}")
+    if trials.empty:
+        raise ValueError(f"{file} holds no games")
+    return trials
+
+
+def _manifest(trials_file: Path) -> dict[str, Any]:
+    file = trials_file.with_name("manifest.json")
+    if not file.is_file():
+        return {}
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{file} is not JSON: {error}") from error
+
+
+def _present(trials: pd.DataFrame) -> list[str]:
+    return [name for name in CONDITIONS if name in set(trials["condition"])]
+
+
+def _page(trials: pd.DataFrame, tests: pd.DataFrame, svg: bytes, manifest: Mapping[str, Any]) -> str:
+    """Fill the template: here what is shown is chosen, there how it looks."""
+    comparison = compare_with_paper(tests)
+    comparison["less"] = [_other(row.x, row.y, row.greater) for row in comparison.itertuples()]
+    comparison["paper_less"] = [_other(row.x, row.y, row.paper_greater) for row in comparison.itertuples()]
+    comparison["dz_toward_paper"] = comparison["dz"] * np.where(comparison["x"] == comparison["paper_greater"], 1, -1)
+    findings = comparison[comparison["paper"] == "significant"]
+    tested = comparison["outcome"] != "not_tested"
+    ours = comparison.assign(tested=tested, greater=comparison["greater"].where(comparison["significant"], ""))
+    paper = comparison.assign(tested=True, greater=comparison["paper_greater"])
+    by_chance, rerun = reference_points()
+
+    environment = Environment(
+        loader=FileSystemLoader(Path(__file__).parent),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        "p": _p,
+        "number": _number,
+        "pretty": lambda value: json.dumps(value, indent=2, default=str),
+    }
+    return environment.get_template("report_template.html").render(
+        participants=trials["user"].nunique(),
+        games=len(trials),
+        conditions=CONDITIONS,
+        labels={condition.letter: condition.label for condition in CONDITIONS.values()},
+        types={"a": "NHG", "c": "OAHG", "f": "UPHG", "i": "CombHG"},
+        metrics=METRICS,
+        evidence=EVIDENCE,
+        absent=[name for name in CONDITIONS if name not in _present(trials)],
+        untested_families=[family for family in FAMILIES if family not in set(tests["family"])],
+        counts=summary(comparison).to_dict("index"),
+        by_chance=by_chance,
+        rerun=rerun,
+        figure=base64.b64encode(svg).decode("ascii"),
+        means=_means(trials),
+        table2=findings[findings["table"] == 2].to_dict("records"),
+        table3=findings[findings["table"] == 3].to_dict("records"),
+        reversals=findings[findings["outcome"] == "reversed"].to_dict("records"),
+        wrong=comparison[comparison["outcome"] == "wrongly_significant"].to_dict("records"),
+        paired=_paired_rows(tests, comparison),
+        anovas=_anova_rows(tests),
+        weights=_weights(trials),
+        questions=QUESTIONS,
+        answers=answers(ours),
+        paper_answers=answers(paper),
+        manifest=manifest,
+    )
+
+
+def _other(x: str, y: str, letter: str) -> str:
+    return {x: y, y: x}.get(letter, "")
+
+
+def _means(trials: pd.DataFrame) -> list[dict[Any, Any]]:
+    by_condition = trials.groupby("condition")[list(METRICS)].agg(["mean", "std"])
+    return [{"condition": CONDITIONS[name], **by_condition.loc[name]} for name in _present(trials)]
+
+
+def _paired_rows(tests: pd.DataFrame, comparison: pd.DataFrame) -> list[dict[str, Any]]:
+    """The paired t-tests within OAHG beside what the paper found."""
+    paper = comparison.set_index(["family", "metric", "x", "y"])[["paper", "p_paper"]]
+    return tests[tests["test"] == "paired_t"].join(paper, on=["family", "metric", "x", "y"]).to_dict("records")
+
+
+def _anova_rows(tests: pd.DataFrame) -> list[dict[str, Any]]:
+    """The ANOVAs beside the paper's; the paper prints no F where it found nothing significant."""
+    paper = published("anova").set_index(["family", "metric"]).drop(columns=["df1", "df2"]).add_suffix("_paper")
+    anovas = tests[tests["test"] == "rm_anova"].join(paper, on=["family", "metric"])
+    return anovas.fillna({"p_reported_paper": ""}).to_dict("records")
+
+
+def _weights(trials: pd.DataFrame) -> list[dict[str, Any]]:
+    """Mean and SD of each weight within a game, averaged over the games that used it (section 6.1), and the paper's."""
+    rows = published("weights").to_dict("records")
+    for row in rows:
+        mean, sd = (trials[f"{row['weight']}_{statistic}"] for statistic in ("mean", "sd"))
+        row |= {"games": mean.count(), "our_mean": mean.mean(), "our_sd": sd.mean()}
+    return rows
+
+
+def _number(value: float, digits: int = 2) -> str:
+    return "–" if pd.isna(value) else f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0: no −0.00
+
+
+def _p(value: float) -> str:
+    """A p as the paper prints it, without the zero before the point."""
+    if pd.isna(value):
+        return "–"
+    return "<.001" if value < 0.001 else "1" if value >= 0.9995 else f"{value:.3f}"[1:]
+
+
+@command("report")
+def main(cfg: DictConfig) -> None:
+    """Gather the runs, write their report, and say on the screen where it is."""
+    runs = [cfg.runs] if isinstance(cfg.runs, str) else list(cfg.runs)
+    folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
+    try:
+        files = find_trials(runs)
+        trials = merge(files)
+        check_trials(trials)
+        manifests = {str(file.parent): _manifest(file) for file in files}
+    except ValueError as error:
+        raise InputError(str(error)) from error
+    manifest = next(iter(manifests.values())) if len(files) == 1 else {"runs": manifests}
+    tests = write_report(trials, folder, manifest | {"trials_sha256": {str(file): sha256(file) for file in files}})
+    print(screen_table(trials))
+    counts = summary(compare_with_paper(tests))
+    everything, others = counts.loc["all"], counts.loc["none"]
+    print(f"\n{everything.replicated} of the paper's 38 findings replicate ({everything.tested} tested),", end=" ")
+    print(f"{everything.reversed} reversed; {others.wrongly_significant} of its 63 non-findings are significant here")
+    print(f"report: {folder / 'report.html'}")
+
+
+if __name__ == "__main__":
+    main()

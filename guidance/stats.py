@@ -1,0 +1,279 @@
+"""The paper's statistics (section 5) on a tidy table of games, and the paper's own findings beside them.
+
+Within a guidance type, and then between types, every one of the eight metrics is compared across the same
+participants: a paired t-test for the two OAHG conditions, a repeated measures ANOVA with Greenhouse-Geisser correction
+for the three UPHG, the three CombHG and the four types, and after a significant ANOVA paired t-tests with Bonferroni
+correction. The four ratings are proxies computed from simulated people; every result about them says `proxy`.
+
+`pingouin` computes the ANOVA (its values agree with SPSS, R and JASP). The pairs come from `scipy.stats.ttest_rel`,
+because pingouin rounds the confidence interval to two decimals.
+"""
+
+from itertools import combinations
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+import pandas as pd
+import pingouin
+from scipy import stats
+
+ALPHA = 0.05
+FEWEST_PARTICIPANTS = 3  # two participants leave a single degree of freedom for a difference
+ROUNDING = 1e-12  # differences below this share of the values are rounding, not data
+PAPER = Path(__file__).parent / "paper"
+
+
+class Condition(NamedTuple):
+    """A condition of the user study (section 4.2): its letter and name in the paper, and its type of guidance."""
+
+    letter: str
+    label: str
+    guidance: str
+
+
+class Metric(NamedTuple):
+    """A metric of the user study (section 4.3)."""
+
+    label: str
+    kind: str  # objective | subjective
+    unit: str
+
+
+CONDITIONS = {
+    "nhg": Condition("a", "NHG", "NHG"),
+    "oahg": Condition("b", "OAHG (vanilla)", "OAHG"),
+    "oahg_ut": Condition("c", "OAHG (UT)", "OAHG"),
+    "uphg": Condition("d", "UPHG (vanilla)", "UPHG"),
+    "uphg_ua": Condition("e", "UPHG (UA)", "UPHG"),
+    "uphg_ut_ua": Condition("f", "UPHG (UT+UA)", "UPHG"),
+    "combhg_ua": Condition("g", "CombHG (UA)", "CombHG"),
+    "combhg_ua_sc": Condition("h", "CombHG (UA+SC)", "CombHG"),
+    "combhg_ut_ua_sc": Condition("i", "CombHG (UT+UA+SC)", "CombHG"),
+}
+METRICS = {
+    "win_rate": Metric("Win rate", "objective", "share of rounds"),
+    "mean_smash_speed": Metric("Mean smash speed", "objective", "m/s"),
+    "defense_rate": Metric("Defense rate", "objective", "share of pucks blocked"),
+    "mean_disagreement": Metric("Mean disagreement", "objective", "N"),
+    "helpfulness": Metric("Helpfulness", "subjective", "1-7"),
+    "naturalness": Metric("Naturalness", "subjective", "1-7"),
+    "controllability": Metric("Controllability", "subjective", "1-7"),
+    "comfort": Metric("Comfort", "subjective", "1-7"),
+}
+FAMILIES = {"OAHG": "bc", "UPHG": "def", "CombHG": "ghi", "types": "acfi"}
+EVIDENCE = {"M": "mechanical", "P": "performance", "S": "proxy", "S0": "proxy, nearly automatic"}
+
+TESTS_DTYPES = (
+    dict.fromkeys(["family", "metric", "kind", "test", "x", "y"], "str")
+    | {"n": "int64"}
+    | dict.fromkeys(["statistic", "df1", "df2", "epsilon", "p", "p_corrected", "eta_squared", "dz"], "float64")
+    | dict.fromkeys(["mean_difference", "ci_low", "ci_high"], "float64")
+    | {"greater": "str", "gated": "bool", "significant": "bool", "proxy": "bool"}
+)
+
+
+def run_tests(trials: pd.DataFrame) -> pd.DataFrame:
+    """Run every test of section 5 that the conditions present allow.
+
+    Args:
+        trials: one row per participant and condition, with the columns `user`, `condition` (a key of `CONDITIONS`)
+            and the eight `METRICS`; an undefined value is NaN and excludes that participant from the family's test
+            of that metric. NHG has no disagreement, so the types are compared on it without NHG (section 5.2).
+
+    Returns:
+        One row per test, empty with fewer than three participants; families with an absent condition are skipped.
+        `test` is paired_t, rm_anova or posthoc; `x`, `y` the letters of a pair and `greater` the one with the larger
+        mean; `n` the participants; `statistic` t or F with `df1`, `df2` (uncorrected, as the paper reports them);
+        `epsilon` Greenhouse-Geisser; `p` uncorrected; `p_corrected` by Greenhouse-Geisser (ANOVA) or Bonferroni (post
+        hoc), else `p`; `eta_squared` partial; `dz` = mean / SD of the differences x - y; `mean_difference` x - y in
+        the metric's unit with its 95 % interval `ci_low`, `ci_high`; `gated` a post hoc test whose ANOVA was not
+        significant, which the paper does not run; `significant` p_corrected < .05 and not gated; `proxy` a rating
+        that is a proxy. Where the differences do not vary, the statistic and the p are NaN.
+
+    Raises:
+        ValueError: trials that `check_trials` refuses.
+    """
+    check_trials(trials)
+    rows: list[dict[str, Any]] = []
+    letters = {name: CONDITIONS[name].letter for name in CONDITIONS}
+    if trials["user"].nunique() >= FEWEST_PARTICIPANTS:
+        tidy = trials.assign(condition=trials["condition"].map(letters))
+        for family, metric in ((family, metric) for family in FAMILIES for metric in METRICS):
+            levels = _levels(family, metric)
+            if set(levels) <= set(tidy["condition"]):
+                scores = tidy.pivot(index="user", columns="condition", values=metric)[levels].astype(float).dropna()
+                kind = METRICS[metric].kind
+                shared = {"family": family, "metric": metric, "kind": kind, "proxy": kind == "subjective"}
+                rows += [shared | row for row in _compare(scores)]
+    tests = pd.DataFrame(rows, columns=list(TESTS_DTYPES))
+    return tests.fillna({"x": "", "y": "", "greater": ""}).astype(TESTS_DTYPES)
+
+
+def _levels(family: str, metric: str) -> list[str]:
+    without_force = metric == "mean_disagreement"
+    return [letter for letter in FAMILIES[family] if not (without_force and letter == "a")]
+
+
+def check_trials(trials: pd.DataFrame) -> None:
+    """Refuse trials that cannot be compared within participants.
+
+    Raises:
+        ValueError: an absent column, an unknown condition, an infinite value, two rows for one participant and
+            condition, or a participant without a row for a condition that others have; the message names them.
+    """
+    if absent := [column for column in ("user", "condition", *METRICS) if column not in trials]:
+        raise ValueError(f"trials lack the columns {', '.join(absent)}")
+    if unknown := sorted(set(trials["condition"].astype(str)) - set(CONDITIONS)):
+        raise ValueError(f"unknown conditions: {', '.join(unknown)}; known: {', '.join(CONDITIONS)}")
+    if np.isinf(trials[list(METRICS)].to_numpy(float)).any():
+        raise ValueError("trials hold infinite values")
+    games = trials.groupby(["user", "condition"]).size()
+    if named := ", ".join(f"{user} {condition}" for user, condition in games[games > 1].index):
+        raise ValueError(f"more than one game of a participant in a condition: {named}")
+    games = games.unstack(fill_value=0)
+    lacking = {user: [name for name in games if row[name] == 0] for user, row in games.iterrows()}
+    if named := "; ".join(f"{user} lacks {', '.join(names)}" for user, names in lacking.items() if names):
+        raise ValueError(f"every participant must have played every condition: {named}")
+
+
+def _compare(scores: pd.DataFrame) -> list[dict[str, Any]]:
+    """The tests of one metric in one family; scores (participants, conditions) without missing values."""
+    pairs = list(combinations(scores, 2))
+    if len(pairs) == 1:
+        row = _paired_t(scores, *pairs[0])
+        return [row | _verdict("paired_t", row["p"], gated=False)]
+    anova = _rm_anova(scores)
+    gated = not anova["p_corrected"] < ALPHA  # a NaN gates too
+    posthoc = [_paired_t(scores, *pair) for pair in pairs]
+    return [anova | _verdict("rm_anova", anova["p_corrected"], gated=False)] + [
+        row | _verdict("posthoc", min(1.0, len(pairs) * row["p"]) if row["p"] >= 0 else np.nan, gated)
+        for row in posthoc
+    ]
+
+
+def _verdict(test: str, p_corrected: float, gated: bool) -> dict[str, Any]:
+    significant = bool(p_corrected < ALPHA and not gated)
+    return {"test": test, "p_corrected": p_corrected, "gated": gated, "significant": significant}
+
+
+def _constant(values: np.ndarray, scale: float) -> bool:
+    """Whether values (any shape) differ by rounding only, as differences of equal or shifted columns do."""
+    return bool(np.ptp(values) <= ROUNDING * scale)
+
+
+def _rm_anova(scores: pd.DataFrame) -> dict[str, Any]:
+    n, levels = scores.shape
+    row = {"n": n, "df1": levels - 1, "df2": (levels - 1) * (n - 1), "p_corrected": np.nan}
+    if n < FEWEST_PARTICIPANTS:
+        return row
+    values = scores.to_numpy()
+    within_participant = values - values.mean(axis=1, keepdims=True)
+    if _constant(within_participant - within_participant.mean(axis=0), np.abs(values).max()):
+        return row
+    tidy = scores.reset_index().melt("user", var_name="condition", value_name="score")
+    anova = pingouin.rm_anova(tidy, "score", "condition", "user", correction=True, effsize="np2").iloc[0]
+    return row | {
+        "statistic": anova["F"],
+        "epsilon": anova["eps"],
+        "p": anova["p_unc"],
+        "p_corrected": anova["p_GG_corr"],
+        "eta_squared": anova["np2"],
+    }
+
+
+def _paired_t(scores: pd.DataFrame, x: str, y: str) -> dict[str, Any]:
+    difference = (scores[x] - scores[y]).to_numpy()
+    n = len(difference)
+    mean = difference.mean() if n else np.nan
+    scale = scores[[x, y]].abs().to_numpy().max(initial=0.0)
+    row = {"x": x, "y": y, "n": n, "df1": n - 1, "p": np.nan, "mean_difference": mean}
+    if abs(mean) > ROUNDING * scale:
+        row["greater"] = x if mean > 0 else y
+    if n < FEWEST_PARTICIPANTS or _constant(difference, scale):
+        return row
+    t = stats.ttest_rel(scores[x], scores[y])
+    low, high = t.confidence_interval(0.95)
+    dz = mean / difference.std(ddof=1)
+    return row | {"statistic": t.statistic, "p": t.pvalue, "dz": dz, "ci_low": low, "ci_high": high}
+
+
+def published(table: str) -> pd.DataFrame:
+    """One of the paper's tables: `findings`, `grid`, `anova` or `weights`; p stays as printed (".000", "<.001")."""
+    return pd.read_csv(PAPER / f"{table}.csv", dtype={"p_reported": "str"})
+
+
+def compare_with_paper(tests: pd.DataFrame) -> pd.DataFrame:
+    """Put the result of `run_tests` beside the paper's 101 pairs: 38 findings (Tables 2 and 3) and 63 non-findings.
+
+    Returns:
+        One row per pair of the paper, the findings first. The paper's side: `family`, `metric`, `kind`, `x`, `y`, `id`
+        and `table` (of a finding), `evidence` (M, P, S, S0; "" for a non-finding), `paper` (significant |
+        not_significant | gated), `paper_greater` (letter), `p_paper` (as printed), `dz_paper` (the smallest |dz| that
+        gives the printed p). Ours: `n`, `mean_difference` (x - y), `ci_low`, `ci_high`, `dz`, `p` (corrected), `gated`,
+        `significant`, `greater` (letter with the larger mean), `outcome`. For a finding, `outcome` is replicated
+        (significant with the same sign), reversed (significant with the opposite sign) or not_significant; for a
+        non-finding wrongly_significant or agrees; not_tested where no test could be computed.
+    """
+    findings = published("findings")[["id", "table", "evidence", "dz_min"]].rename(columns={"dz_min": "dz_paper"})
+    paper = published("grid").merge(findings, on="id", how="left")
+    paper = paper.rename(columns={"greater": "paper_greater", "p_reported": "p_paper"})
+    status = {"sig": "significant", "ns": "not_significant", "ns_anova_gate": "gated"}
+    paper["paper"] = paper.pop("status").map(status)
+    paper = paper.fillna({"id": "", "evidence": "", "paper_greater": "", "p_paper": ""})
+
+    ours = tests.loc[tests["test"] != "rm_anova", ["family", "metric", "x", "y", "n", "mean_difference", "ci_low"]]
+    ours = ours.join(tests[["ci_high", "dz", "p_corrected", "gated", "significant", "greater"]])
+    both = paper.merge(ours.rename(columns={"p_corrected": "p"}), on=["family", "metric", "x", "y"], how="left")
+    flags = {"gated": both["gated"].eq(True), "significant": both["significant"].eq(True)}
+    both = both.assign(**flags, greater=both["greater"].fillna(""))
+
+    finding = both["paper"].eq("significant")
+    same_sign = both["greater"].eq(both["paper_greater"])
+    both["outcome"] = np.select(
+        [
+            both["p"].isna(),
+            finding & both["significant"] & same_sign,
+            finding & both["significant"],
+            finding,
+            both["significant"],
+        ],
+        ["not_tested", "replicated", "reversed", "not_significant", "wrongly_significant"],
+        "agrees",
+    )
+    return both.sort_values("id", key=lambda ids: ids.replace("", "~"), kind="stable", ignore_index=True)
+
+
+def summary(comparison: pd.DataFrame) -> pd.DataFrame:
+    """Count the outcomes of `compare_with_paper`.
+
+    Returns:
+        Indexed by evidence class: M, P, S, S0, `all` (the 38 findings) and `none` (the 63 non-findings); columns
+        `cells`, `tested`, `replicated`, `reversed`, `wrongly_significant` (counts).
+    """
+    finding = comparison["evidence"].ne("")
+    groups = {evidence: comparison["evidence"].eq(evidence) for evidence in EVIDENCE} | {
+        "all": finding,
+        "none": ~finding,
+    }
+    counts = {
+        evidence: {"cells": int(chosen.sum()), "tested": int((chosen & comparison["outcome"].ne("not_tested")).sum())}
+        | {
+            outcome: int((chosen & comparison["outcome"].eq(outcome)).sum())
+            for outcome in ("replicated", "reversed", "wrongly_significant")
+        }
+        for evidence, chosen in groups.items()
+    }
+    return pd.DataFrame.from_dict(counts, orient="index").rename_axis("evidence")
+
+
+def reference_points(n: int = 20) -> tuple[float, float]:
+    """How many of the 38 findings to expect by chance, and from a perfect re-run with the paper's own people.
+
+    By chance a two-sided test at .05 / m falls on the paper's side half of the time. For the re-run, every finding has
+    the effect size dz that its printed p implies, and the power of a paired t-test with n participants.
+    """
+    findings = published("findings")
+    tail = ALPHA / 2 / findings["bonferroni_m"]
+    power = stats.nct.sf(stats.t.isf(tail, n - 1), n - 1, findings["dz_min"] * np.sqrt(n))
+    return float(tail.sum()), float(power.sum())
