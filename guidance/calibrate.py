@@ -1,0 +1,142 @@
+"""Set what may be set before a study, from unguided play of the nine training users and nothing else.
+
+    python -m guidance.calibrate
+
+The opponent: the newest generation against which the nine win 35 to 55 % of their rounds, which last 12 to 25 s.
+T_low and T_high of UT (Eq. 5): so that the mean W_unc in that play is the paper's (section 6.1).
+
+Writes calibration.yaml, the values and what they rest on, into its run folder. A value takes effect when it is copied
+into conf/: calibration never changes a study by itself.
+"""
+
+from pathlib import Path
+
+import hydra
+import numpy as np
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from scipy.optimize import brentq
+from torch import Tensor
+
+from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, require_counts, require_numbers
+from airhockey_marl.files import write_text
+from airhockey_marl.match import confident
+from airhockey_marl.table import Table
+from guidance.forces import lookahead, uncertainty_weight
+from guidance.maml import forward_each
+from guidance.models import Models, load_league
+from guidance.study import Games, no_force, play_games, streams
+from guidance.users import Users, training_people
+
+OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has the number of its condition
+
+
+@command("calibrate")
+def main(cfg: DictConfig) -> None:
+    with input_errors():
+        require_counts(cfg, "threads", "every")
+        require_counts(cfg, "games", least=2)  # UA from one, uncertainty in the others
+        require_counts(cfg, "seed", least=0)
+        require_numbers(cfg, "w_unc.optimal", "w_unc.user", "low_over_high", at_most=0.999)
+        people = training_people(cfg.seed, hydra.utils.instantiate(cfg.users.population))
+        protocol = hydra.utils.instantiate(cfg.study, familiarisation=0)
+        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+        league = load_league(cfg.models.league)
+        if cfg.opponent is not None:
+            league.generation(cfg.opponent)
+    torch.set_num_threads(cfg.threads)
+    progress = ProgressBar()
+
+    def play(generation: int, trial: int, demonstrations: bool = False) -> Games:
+        """Each of the nine plays `games` games: rows are person by person."""
+        keys = [
+            [streams(cfg.seed, [u], trial + g, p) for u in range(len(people)) for g in range(cfg.games)] for p in (0, 1)
+        ]
+        minds, serves = (np.concatenate(part) for part in keys)
+        seated = Users(np.repeat(people, cfg.games), minds, Table(), cfg.users.variant)
+        opponent = confident(league.player(generation))
+        return play_games(seated, opponent, no_force, protocol, Table(), serves, demonstrations)
+
+    trials = {}
+    candidates = [cfg.opponent] if cfg.opponent is not None else range(0, len(league), cfg.every)
+    for i, generation in enumerate(candidates):
+        games = play(generation, OPPONENT_TRIAL)
+        trials[generation] = {
+            "win_rate": round(float(np.nanmean(games.results["win_rate"])), 3),
+            "round_seconds": round(float(games.seconds.sum() / games.rounds.sum()), 1),
+        }
+        progress("opponents", (i + 1) / len(candidates))
+    opponent = cfg.opponent if cfg.opponent is not None else fitting_opponent(trials, cfg.win_rate, cfg.round_seconds)
+
+    progress("thresholds", 0.0)
+    states = play(opponent, THRESHOLD_TRIAL, demonstrations=True).demonstrations
+    thresholds = {
+        name: threshold(std, cfg.w_unc[name], cfg.low_over_high)
+        for name, std in predicted_std(models, states, cfg.games, cfg.guidance.lookahead).items()
+    }
+    progress("thresholds", 1.0)
+    progress.close()
+    found = {"opponent": opponent, "thresholds": thresholds, "evidence": {"opponents": trials, "models": models.hashes}}
+    text = OmegaConf.to_yaml(OmegaConf.create(found))
+    write_text(Path(HydraConfig.get().runtime.output_dir) / "calibration.yaml", text)
+    print(text)
+
+
+def fitting_opponent(trials: dict[int, dict[str, float]], win_rate: list[float], round_seconds: list[float]) -> int:
+    """The newest generation within both ranges.
+
+    Raises:
+        InputError: there is none.
+    """
+    fitting = [
+        generation
+        for generation, trial in trials.items()
+        if win_rate[0] <= trial["win_rate"] <= win_rate[1]
+        and round_seconds[0] <= trial["round_seconds"] <= round_seconds[1]
+    ]
+    if not fitting:
+        raise InputError(f"no generation has win_rate in {win_rate} and round_seconds in {round_seconds}: {trials}")
+    return max(fitting)
+
+
+@torch.no_grad()
+def predicted_std(
+    models: Models, demonstrations: list[tuple[Tensor, Tensor]], games: int, lookahead_seconds: float
+) -> dict[str, Tensor]:
+    """STD (ticks, 2) of the optimal and of the adapted user model; each person's first game is for UA and left out.
+
+    Args:
+        demonstrations: person by person, `games` games each.
+    """
+    adapted = models.adapted_to(demonstrations[::games])
+    optimal, user = [], []
+    for i, (observation, _) in enumerate(demonstrations):
+        if i % games:
+            anticipated = lookahead(observation, lookahead_seconds)
+            optimal.append(models.optimal(anticipated)[1])
+            user.append(forward_each(models.meta, adapted[i // games : i // games + 1], anticipated[None])[1][0])
+    return {"optimal": torch.cat(optimal), "user": torch.cat(user)}
+
+
+def threshold(std: Tensor, mean_weight: float, low_over_high: float) -> dict[str, float]:
+    """T_low and T_high for which the mean W_unc (Eq. 5) of STDs (n, 2) is `mean_weight`."""
+    squared = std.double().square().sum(-1)
+
+    def excess(log_high: float) -> float:
+        high = float(np.exp(log_high))
+        return uncertainty_weight(std.double(), low_over_high * high, high).mean().item() - mean_weight
+
+    ends = np.log(squared.min().item() / 2), np.log(squared.max().item() / low_over_high * 2)
+    high = float(np.exp(brentq(excess, *ends)))
+    weight = uncertainty_weight(std.double(), low_over_high * high, high)
+    return {
+        "low": float(f"{low_over_high * high:.4g}"),
+        "high": float(f"{high:.4g}"),
+        "mean_w_unc": round(weight.mean().item(), 3),
+        "sd_w_unc": round(weight.std().item(), 3),
+    }
+
+
+if __name__ == "__main__":
+    main()

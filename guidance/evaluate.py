@@ -1,0 +1,106 @@
+"""Evaluate the nine conditions of haptic guidance on simulated people: the study of section 4, tests and report.
+
+    python -m guidance.evaluate                                all nine conditions, 20 people
+    python -m guidance.evaluate condition=oahg_ut              one of them
+    python -m guidance.evaluate -m 'condition=glob(*)'         the nine as nine jobs
+    python -m guidance.report runs=outputs/evaluate/...        merge the jobs into one report
+    python -m guidance.evaluate +preset=smoke                  seconds, to see that it runs
+
+Writes into its run folder: trials.csv (a row per person and condition), tests.csv (every t, F and post hoc),
+figure6.png and .svg, report.html, and manifest.json (configuration, seeds, models, versions).
+"""
+
+import hashlib
+import json
+import time
+from importlib.metadata import version
+from pathlib import Path
+
+import hydra
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+
+from airhockey_marl.cli import CONF, ProgressBar, command, input_errors, require_counts, require_numbers
+from airhockey_marl.files import replacing, write_json
+from airhockey_marl.match import confident
+from airhockey_marl.table import Table
+from guidance.conditions import Condition
+from guidance.models import Models, load_league
+from guidance.report import screen_table, write_report
+from guidance.study import Protocol, run_study
+from guidance.users import Population, sample_people
+from guidance.users.reaction import Variant
+
+VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas", "pingouin")
+
+
+def chosen_conditions(cfg: DictConfig) -> list[Condition]:
+    """The condition of the configuration; without one, all of `conf/condition`, in the order of their letters."""
+    if cfg.get("condition") is not None:
+        return [hydra.utils.instantiate(cfg.condition)]
+    nodes = [OmegaConf.load(path) for path in (CONF / "condition").glob("*.yaml")]
+    for node in nodes:
+        node._set_parent(cfg)  # what a condition refers to, as ${guidance.spring}, is in the configuration
+    return sorted((hydra.utils.instantiate(node) for node in nodes), key=lambda condition: condition.letter)
+
+
+@command("evaluate")
+def main(cfg: DictConfig) -> None:
+    began = time.perf_counter()
+    with input_errors():
+        require_counts(cfg, "participants", "threads")
+        require_counts(cfg, "seed", least=0)
+        require_numbers(cfg, "guidance.lookahead", above=-1e-9, at_most=1.0)
+        conditions = chosen_conditions(cfg)
+        protocol: Protocol = hydra.utils.instantiate(cfg.study)
+        population: Population = hydra.utils.instantiate(cfg.users.population)
+        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+        opponent = confident(load_league(cfg.models.league).player(cfg.opponent))
+        people = sample_people(cfg.participants, cfg.seed, population)
+        if cfg.users.variant not in Variant.__members__:
+            raise ValueError(f"users.variant = {cfg.users.variant!r} must be one of {', '.join(Variant.__members__)}")
+    torch.set_num_threads(cfg.threads)
+    progress = ProgressBar()
+    trials = run_study(
+        people,
+        conditions,
+        models,
+        opponent,
+        cfg.guidance.lookahead,
+        protocol,
+        Table(),
+        cfg.users.variant,
+        OmegaConf.to_container(cfg.users.scales),
+        cfg.seed,
+        progress,
+    )
+    progress.close()
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    with replacing(folder / "trials.csv") as temporary:
+        trials.to_csv(temporary, index=False)
+    facts = manifest(cfg, models, time.perf_counter() - began)
+    write_json(folder / "manifest.json", facts)
+    write_report(trials, folder, facts)
+    print(screen_table(trials))
+    print(f"\nreport: {folder / 'report.html'}")
+
+
+def manifest(cfg: DictConfig, models: Models, seconds: float) -> dict:
+    """What a result came from. `study_hash` is the same for runs that may be merged: all but seed and condition."""
+    config = OmegaConf.to_container(cfg, resolve=True)
+    shared = {key: value for key, value in config.items() if key not in ("condition", "models", "seed", "threads")}
+    digest = hashlib.sha256(json.dumps([shared, models.hashes], sort_keys=True).encode()).hexdigest()
+    return {
+        "command": " ".join(["python -m guidance.evaluate", *HydraConfig.get().overrides.task]),
+        "seed": cfg.seed,
+        "study_hash": digest,
+        "models": models.hashes,
+        "versions": {name: version(name) for name in VERSIONS},
+        "seconds": round(seconds, 1),
+        "config": config,
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,184 @@
+"""The commands as people run them: whole, on tiny budgets, and with everything that can be typed wrong."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+
+from airhockey_marl import train
+from airhockey_marl.files import load_tensors, save_tensors
+from airhockey_marl.policy import GaussianPolicy
+from guidance import evaluate, meta_train, report
+
+ROOT = Path(__file__).resolve().parents[1]
+COMMANDS = {"train": train, "meta_train": meta_train, "evaluate": evaluate, "report": report}
+
+
+def start(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, "-m", *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+def smoke(*arguments: str) -> subprocess.CompletedProcess:
+    done = start(*arguments, "+preset=smoke")
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory) -> dict[str, Path]:
+    """A league and user models from the commands themselves."""
+    folder = tmp_path_factory.mktemp("trained")
+    smoke("airhockey_marl.train", f"hydra.run.dir={folder}/train")
+    league = folder / "train" / "league.safetensors"
+    smoke("guidance.meta_train", f"models.league={league}", "opponent=1", f"hydra.run.dir={folder}/meta")
+    return {"league": league, "user": folder / "meta/user.safetensors", "meta": folder / "meta/meta.safetensors"}
+
+
+@pytest.fixture(scope="module")
+def models(trained) -> list[str]:
+    return [*(f"models.{name}={path}" for name, path in trained.items()), "opponent=1"]
+
+
+def test_train_writes_a_league_a_card_and_what_tensorboard_reads(trained):
+    folder = trained["league"].parent
+    tensors, facts = load_tensors(trained["league"])
+    assert facts == {"hidden": [64, 64]} and {len(tensor) for tensor in tensors.values()} == {3}
+    card = json.loads((folder / "card.json").read_text())
+    assert card["generations"] == 3 and card["steps"] == 2000 and len(set(card["hashes"])) == 3
+    assert list(folder.glob("tensorboard/events*"))
+
+
+def test_train_gives_the_same_weights_for_the_same_seed(trained, tmp_path):
+    smoke("airhockey_marl.train", f"hydra.run.dir={tmp_path}")
+    first, second = (json.loads((f / "card.json").read_text()) for f in (trained["league"].parent, tmp_path))
+    assert first["hashes"] == second["hashes"]
+
+
+def test_train_learns_from_pettingzoo_what_it_learns_from_the_batch(trained, tmp_path):
+    smoke("airhockey_marl.train", "env=pettingzoo", f"hydra.run.dir={tmp_path}")
+    first, second = (json.loads((f / "card.json").read_text()) for f in (trained["league"].parent, tmp_path))
+    assert first["hashes"] == second["hashes"]
+
+
+def test_meta_train_scores_itself_on_people_it_has_not_seen(trained):
+    card = json.loads((trained["meta"].parent / "card.json").read_text())
+    scores = card["on_nine_others"]
+    assert all(score > -100 and score == score for score in scores.values()) and "persistence_rmse" in scores
+
+
+def test_evaluate_all_nine(models, tmp_path):
+    done = smoke("guidance.evaluate", *models, f"hydra.run.dir={tmp_path}")
+    trials = pd.read_csv(tmp_path / "trials.csv")
+    assert len(trials) == 9 * 4 and trials["condition"].nunique() == 9
+    for name in ("tests.csv", "figure6.png", "figure6.svg", "report.html", "manifest.json"):
+        assert (tmp_path / name).stat().st_size > 100
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    assert manifest["config"]["participants"] == 4 and len(manifest["models"]["league"]) == 64
+    assert "generations" not in manifest["config"]  # a preset's keys for other commands
+    for letter in "abcdefghi":
+        assert f"({letter})" in done.stdout
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".") and path.is_file()]
+
+
+def test_a_sweep_over_the_nine_merges_into_the_report_of_one_run(models, tmp_path):
+    smoke("guidance.evaluate", "-m", "condition=glob(*)", *models, f"hydra.sweep.dir={tmp_path}/sweep")
+    assert len(list((tmp_path / "sweep").glob("*/trials.csv"))) == 9
+    done = start("guidance.report", f"runs={tmp_path}/sweep", f"out={tmp_path}/merged", f"hydra.run.dir={tmp_path}/r")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "merged" / "report.html").is_file()
+    smoke("guidance.evaluate", *models, f"hydra.run.dir={tmp_path}/one")
+    merged, one = (pd.read_csv(tmp_path / name / "tests.csv") for name in ("merged", "one"))
+    assert list(merged["family"]) == list(one["family"]) and list(merged["n"]) == list(one["n"])
+
+
+def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
+    """Run a command that must refuse: exit code 1 or 2, one line, no traceback, nothing computed."""
+    monkeypatch.setattr(sys, "argv", [name, f"hydra.run.dir={tmp_path}/run", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        COMMANDS[name].main()
+    shown = capsys.readouterr()
+    assert stopped.value.code in (1, 2)
+    assert shown.err.count("\n") == 1 and shown.err.startswith("error: ") and "Traceback" not in shown.err
+    assert not list(tmp_path.rglob("*.csv")) and not list(tmp_path.rglob("run/*.safetensors"))
+    return shown.err
+
+
+@pytest.mark.parametrize(
+    ("name", "argument", "message"),
+    [
+        ("evaluate", "condition=oahg_utt", "oahg_utt"),
+        ("evaluate", "users=nobody", "nobody"),
+        ("evaluate", "participants=0", "participants = 0 must be a whole number of at least 1"),
+        ("evaluate", "participants=many", "participants"),
+        ("evaluate", "+participant=3", "participant is not a key"),
+        ("evaluate", "participant=3", "participant"),
+        ("evaluate", "guidance.spring.stiffness=-50", "stiffness = -50"),
+        ("evaluate", "guidance.thresholds.user.low=0.9", "low = 0.9"),
+        ("evaluate", "guidance.lookahead=-1", "lookahead = -1"),
+        ("evaluate", "users.variant=V9", "users.variant = 'V9'"),
+        ("evaluate", "study.rounds=0", "study.rounds = 0"),
+        ("evaluate", "opponent=1000", "generation = 1000"),
+        ("evaluate", "models.user=nowhere.safetensors", "no such file: nowhere.safetensors"),
+        ("evaluate", "seed=-1", "seed = -1"),
+        ("train", "generations=0", "generations = 0 must be a whole number of at least 1"),
+        ("train", "batch=333", "batch = 333 must be a multiple of env.tables"),
+        ("train", "gamma=1.5", "gamma = 1.5"),
+        ("train", "algorithm.max_kl=0", "max_kl = 0"),
+        ("train", "env.backend=gym", "env.backend = 'gym'"),
+        ("train", "league.sampler.delta=2", "delta = 2"),
+        ("train", "algorithm=dqn", "dqn"),
+        ("train", "hidden=[]", "hidden"),
+        ("meta_train", "maml.inner_lr=-0.1", "maml.inner_lr = -0.1"),
+        ("meta_train", "demonstrations.games=1", "demonstrations.games = 1"),
+        ("meta_train", "models.league=nowhere", "no such file: nowhere"),
+        ("report", "runs=nowhere", "nowhere"),
+    ],
+)
+def test_wrong_values_end_in_one_line(monkeypatch, capsys, tmp_path, name, argument, message):
+    assert message in complaint(monkeypatch, capsys, tmp_path, name, argument)
+
+
+def test_models_of_another_kind_or_broken_are_refused(monkeypatch, capsys, tmp_path):
+    broken, other = tmp_path / "broken.safetensors", tmp_path / "other.safetensors"
+    broken.write_bytes(b"\x80\x04no tensors")
+    save_tensors(other, GaussianPolicy([8]).state_dict(), {"hidden": [9], "inner_lr": 0.1})
+    cases = [
+        (f"models.meta={broken}", "is not a safetensors file"),
+        (f"models.meta={other}", "size mismatch"),
+        (f"models.league={other}", "the model has"),
+        ("models.meta=guidance/pretrained/user.safetensors", "not meta-learned"),
+    ]
+    for argument, message in cases:
+        assert message in complaint(monkeypatch, capsys, tmp_path, "evaluate", argument)
+    save_tensors(other, {"x": torch.zeros(1)})
+    assert "not a file of this project" in complaint(monkeypatch, capsys, tmp_path, "evaluate", f"models.user={other}")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_is_the_manual(monkeypatch, capsys, name):
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    COMMANDS[name].main()
+    text = capsys.readouterr().out
+    yaml = (ROOT / "conf" / f"{name}.yaml").read_text()
+    assert yaml.strip() in text and f"python -m {COMMANDS[name].__name__}" in text
+    assert "condition = combhg_ua | combhg_ua_sc" in text
+
+
+def test_commands_start_from_any_folder(trained, models, tmp_path):
+    script = "from guidance.evaluate import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", script, "+preset=smoke", "condition=nhg", *models, "hydra.run.dir=run"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "trials.csv").is_file()
