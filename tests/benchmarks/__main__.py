@@ -1,0 +1,172 @@
+"""Speeds of this machine as one JSON object on standard output: `make bench`.
+
+Each figure is the median of a few runs after a warm-up. Ratios compare two ways in the same run, so they mean more
+than any figure alone where a machine is shared.
+"""
+
+import json
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+
+import hydra
+import numpy as np
+import torch
+from hydra import compose, initialize_config_dir
+from tensordict.nn import TensorDictSequential
+from torchrl.collectors import Collector
+
+from airhockey_marl.cli import CONF
+from airhockey_marl.env import SEATS, AirHockey, make_env
+from airhockey_marl.match import confident
+from airhockey_marl.policy import USER_PREDICTION_HIDDEN, GaussianPolicy
+from airhockey_marl.seats import LEARNER, OPPONENT, actor
+from airhockey_marl.table import Table
+from airhockey_marl.tables import Tables
+from airhockey_marl.train import train
+from guidance.evaluate import chosen_conditions
+from guidance.maml import MAML, forward, meta_loss, parameters
+from guidance.models import Models, load_league
+from guidance.study import run_study
+from guidance.user_model import prediction_loss
+from guidance.users import sample_people
+
+
+def seconds(task: Callable[[], object], runs: int = 5) -> float:
+    """Median time of a call, after one that is not counted."""
+    task()
+    times = []
+    for _ in range(runs):
+        began = time.perf_counter()
+        task()
+        times.append(time.perf_counter() - began)
+    return statistics.median(times)
+
+
+def config(command: str, *overrides: str):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return compose(command, overrides=list(overrides))
+
+
+def pettingzoo_steps(steps: int = 20_000) -> float:
+    env, stay = AirHockey(), {seat: np.zeros(2, dtype=np.float32) for seat in SEATS}
+    env.reset(seed=0)
+
+    def play() -> None:
+        for _ in range(steps):
+            if not env.agents:
+                env.reset()
+            env.step(stay)
+
+    return steps / seconds(play)
+
+
+def batched_ticks(tables: int = 4096, ticks: int = 100) -> float:
+    batch, rng = Tables(tables), np.random.default_rng(0)
+    batch.new_rounds()
+    actions = rng.uniform(-1, 1, (ticks, tables, 2, 2))
+
+    def play() -> None:
+        for action in actions:
+            batch.step(action)
+            batch.new_rounds(batch.goals != 0)
+
+    return tables * ticks / seconds(play)
+
+
+def collected_frames(batch: int = 5000, tables: int = 250) -> float:
+    policy = GaussianPolicy()
+    collector = Collector(
+        make_env("batched", tables, 30.0, 2, 0),
+        TensorDictSequential(actor(LEARNER, policy), actor(OPPONENT, policy)),
+        frames_per_batch=batch,
+        total_frames=-1,
+        auto_register_policy_transforms=False,
+    )
+    batches = iter(collector)
+    with torch.no_grad():
+        rate = batch / seconds(lambda: next(batches), runs=20)
+    collector.shutdown()
+    return rate
+
+
+def trained_frames(generations: int = 2, steps: int = 100_000) -> float:
+    """End to end: collection, advantages, update, freezing, rating, writing."""
+    cfg = config("train", f"generations={generations}", f"steps_per_generation={steps}")
+    algorithm, sampler = (hydra.utils.instantiate(node) for node in (cfg.algorithm, cfg.league.sampler))
+
+    def run() -> None:
+        env = make_env("batched", cfg.env.tables, cfg.env.round_seconds, cfg.env.decision_ticks, cfg.seed)
+        with tempfile.TemporaryDirectory() as folder:
+            train(cfg, Path(folder), env, GaussianPolicy(cfg.hidden), algorithm, sampler)
+
+    return generations * steps / seconds(run, runs=1)
+
+
+def maml_steps(users: int = 9, ticks: int = 1000) -> tuple[float, float]:
+    """ms of a second-order meta-step with its backward pass: batched over users, and user by user."""
+    torch.manual_seed(0)
+    model = GaussianPolicy(USER_PREDICTION_HIDDEN)
+    demo, valid = ((torch.randn(users, ticks, 12), torch.randn(users, ticks, 2)) for _ in range(2))
+
+    def loss(params, data):
+        return prediction_loss(*forward(model, params, data[0]), data[1])
+
+    def batched() -> None:
+        model.zero_grad()
+        meta_loss(parameters(model), loss, demo, valid, lr=0.1).backward()
+
+    def one_by_one() -> None:
+        model.zero_grad()
+        maml, total = MAML(model, lr=0.1), 0.0
+        for user in range(users):
+            learner = maml.clone()
+            learner.adapt(prediction_loss(*learner(demo[0][user]), demo[1][user]))
+            total = total + prediction_loss(*learner(valid[0][user]), valid[1][user])
+        total.backward()
+
+    return 1000 * seconds(batched), 1000 * seconds(one_by_one)
+
+
+def study() -> float:
+    """The default study: 20 people, nine conditions, the shipped models."""
+    cfg = config("evaluate")
+    models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+    run = partial(
+        run_study,
+        conditions=chosen_conditions(cfg),
+        models=models,
+        opponent=confident(load_league(cfg.models.league).player(cfg.opponent)),
+        lookahead_seconds=cfg.guidance.lookahead,
+        table=Table(),
+        variant=cfg.users.variant,
+        rating_scales=dict(cfg.users.scales),
+        seed=cfg.seed,
+    )
+    run(sample_people(1, 0), protocol=hydra.utils.instantiate(cfg.study, rounds=1, min_seconds=0))  # compile
+    began = time.perf_counter()
+    run(sample_people(cfg.participants, cfg.seed), protocol=hydra.utils.instantiate(cfg.study))
+    return time.perf_counter() - began
+
+
+def main() -> None:
+    torch.set_num_threads(1)
+    single, batched = pettingzoo_steps(), batched_ticks()
+    maml, maml_looped = maml_steps()
+    figures = {
+        "env_pettingzoo_steps_per_s": round(single),
+        "env_batched_steps_per_s": round(batched),
+        "collector_frames_per_s": round(collected_frames()),
+        "trpo_frames_per_s": round(trained_frames()),
+        "maml_ms_per_step": round(maml, 1),
+        "maml_user_by_user_over_batched": round(maml_looped / maml, 2),
+        "study_20_users_s": round(study(), 1),
+    }
+    print(json.dumps(figures, indent=2))
+
+
+if __name__ == "__main__":
+    main()
