@@ -4,7 +4,7 @@ import functools
 import io
 import os
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
 from pathlib import Path
 
@@ -26,6 +26,23 @@ class InputError(ValueError):
     """Something the person at the keyboard can mend: named in one line, exit code 2, no traceback."""
 
 
+def choices() -> dict[str, list[str]]:
+    """The configuration's groups and what each can be: the folders of `conf/` and the files in them."""
+    folders = sorted(path for path in CONF.iterdir() if path.is_dir() and path.name != "hydra")
+    return {folder.name: sorted(path.stem for path in folder.glob("*.yaml")) for folder in folders}
+
+
+def wrong_choice(arguments: Sequence[str]) -> str | None:
+    """What is wrong with the first argument that asks for something its group does not have; None if none does."""
+    for argument in arguments:
+        group, _, wanted = argument.lstrip("+").partition("=")
+        options = choices().get(group, [])
+        for choice in wanted.split(",") if options else []:
+            if choice not in (*options, "null") and "(" not in wanted:  # Hydra sees to glob(*) and its kin
+                return f"{group} = {choice} must be one of {', '.join(options)}"
+    return None
+
+
 @contextmanager
 def input_errors() -> Iterator[None]:
     """For the part of a command that checks its input: a `ValueError` in it is the input's fault."""
@@ -39,10 +56,7 @@ def input_errors() -> Iterator[None]:
 
 def manual(name: str, doc: str) -> str:
     """The text of `--help`: the command's docstring, the choices of each group, and its primary yaml as commented."""
-    groups = []
-    for folder in sorted(path for path in CONF.iterdir() if path.is_dir() and path.name != "hydra"):
-        options = sorted(path.stem for path in folder.glob("*.yaml"))
-        groups.append(f"  {folder.name} = {' | '.join(options)}")
+    groups = [f"  {group} = {' | '.join(options)}" for group, options in choices().items()]
     return "\n".join(
         [
             doc.strip(),
@@ -73,6 +87,9 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
             if {"--help", "-h"} & set(sys.argv[1:]):
                 print(manual(name, sys.modules[task.__module__].__doc__ or ""))
                 return
+            if complaint := wrong_choice(sys.argv[1:]):
+                _say_error(complaint)
+                sys.exit(2)
             composing, terminal = io.StringIO(), sys.stderr
             started = False
 
@@ -98,7 +115,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
             except SystemExit as stop:
                 if started or not stop.code:
                     raise
-                _say_error(composing.getvalue().split("Set the environment variable")[0])
+                _say_error(composing.getvalue().split("\nSet the environment variable")[0])
                 sys.exit(2)
             if not started:
                 terminal.write(composing.getvalue())

@@ -2,6 +2,7 @@
 
 import copy
 import hashlib
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -99,12 +100,7 @@ class League:
         Raises:
             ValueError: the tensors are not those of this policy; names the first that differs.
         """
-        wanted = dict(weights_of(policy).flatten_keys(".").items())
-        if set(wanted) != set(tensors):
-            raise ValueError(f"expected the tensors {sorted(wanted)}, found {sorted(tensors)}")
-        for name, tensor in tensors.items():
-            if tensor.shape[1:] != wanted[name].shape:
-                raise ValueError(f"{name} is {tuple(tensor.shape[1:])}, the model has {tuple(wanted[name].shape)}")
+        require_weights(policy, {name: tuple(tensor.shape[1:]) for name, tensor in tensors.items()})
         league = cls(policy)
         generations = len(next(iter(tensors.values())))
         stacked = TensorDict(tensors, [generations]).unflatten_keys(".")
@@ -116,6 +112,20 @@ class League:
 def weights_of(policy: nn.Module) -> TensorDict:
     """The policy's parameters, nested like its modules; not its buffers, which are constants of the architecture."""
     return TensorDict({name: tensor.detach() for name, tensor in policy.named_parameters()}).unflatten_keys(".")
+
+
+def require_weights(policy: nn.Module, shapes: Mapping[str, tuple[int, ...]]) -> None:
+    """Refuse weights of other names or shapes than the policy's.
+
+    Raises:
+        ValueError: names the first that differs.
+    """
+    wanted = {name: tuple(tensor.shape) for name, tensor in policy.named_parameters()}
+    for name in sorted(set(wanted) | set(shapes)):
+        if wanted.get(name) != shapes.get(name):
+            raise ValueError(
+                f"{name} is {shapes.get(name, 'missing')}, the model has {wanted.get(name, 'no such tensor')}"
+            )
 
 
 def weights_hash(weights: TensorDict) -> str:

@@ -10,7 +10,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from airhockey_marl.files import load_tensors, save_tensors, sha256
-from airhockey_marl.league import League
+from airhockey_marl.league import League, require_weights
 from airhockey_marl.policy import GaussianPolicy
 from guidance.conditions import ADAPTED, OPTIMAL, USER, Condition, Guided, Target
 from guidance.forces import lookahead
@@ -49,9 +49,10 @@ def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
         raise ValueError(f"{path} does not say its hidden sizes: not a file of this project")
     model = GaussianPolicy(facts["hidden"])
     try:
-        model.load_state_dict(tensors)
-    except RuntimeError as error:
-        raise ValueError(f"{path}: {' '.join(str(error).split())}") from error
+        require_weights(model, {name: tuple(tensor.shape) for name, tensor in tensors.items()})
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    model.load_state_dict(tensors)
     return model.requires_grad_(False), facts
 
 
