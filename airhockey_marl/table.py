@@ -23,7 +23,8 @@ X, Y, VX, VY = 0, 1, 2, 3  # columns of `bodies`
 
 TOUCHED_BY = (1, 2)  # bits of a tick's `touched`, by seat
 
-MAX_CONTACTS = 24  # per sub-step; a puck squeezed between paddle and wall rattles for ever
+MAX_CONTACTS = 8  # per sub-step; a puck squeezed between paddle and wall rattles for ever
+ROUNDING = 1e-9  # m
 NO_CONTACT, AT_LEFT, AT_RIGHT, AT_SIDE, AT_END, AT_POST = -1, LEFT, RIGHT, 2, 3, 4
 
 
@@ -146,13 +147,14 @@ def _first_contact(bodies, table):
     puck = bodies[PUCK]
     soonest, which, post = np.inf, NO_CONTACT, 0.0
     touching = table.puck_radius + table.paddle_radius
+    hardest = 0.0
     for seat in (LEFT, RIGHT):
-        paddle = bodies[seat]
-        time = _time_to_circle(
-            puck[X] - paddle[X], puck[Y] - paddle[Y], puck[VX] - paddle[VX], puck[VY] - paddle[VY], touching
-        )
-        if time < soonest:
-            soonest, which = time, seat
+        gap_x, gap_y = puck[X] - bodies[seat, X], puck[Y] - bodies[seat, Y]
+        velocity_x, velocity_y = puck[VX] - bodies[seat, VX], puck[VY] - bodies[seat, VY]
+        time = _time_to_circle(gap_x, gap_y, velocity_x, velocity_y, touching)
+        closing = -(gap_x * velocity_x + gap_y * velocity_y)
+        if time < soonest or (time == soonest and closing > hardest):  # of two at once, whichever seat it is
+            soonest, which, hardest = time, seat, closing
     if puck[VY] != 0.0:
         room = table.width / 2 - table.puck_radius - (puck[Y] if puck[VY] > 0.0 else -puck[Y])
         time = max(room, 0.0) / abs(puck[VY])
@@ -218,31 +220,49 @@ def _keep_on_table(puck, table):
             puck[Y] = post_y + gap_y * table.puck_radius / gap
 
 
+@njit(cache=True, inline="always")
+def _from_paddle_to_puck(bodies, seat):
+    """Unit vector and distance from a paddle's centre to the puck's; forward where they coincide."""
+    gap_x, gap_y = bodies[PUCK, X] - bodies[seat, X], bodies[PUCK, Y] - bodies[seat, Y]
+    gap = hypot(gap_x, gap_y)
+    if gap == 0.0:
+        return (1.0 if seat == LEFT else -1.0), 0.0, 0.0
+    return gap_x / gap, gap_y / gap, gap
+
+
 @njit(cache=True)
 def _separate(bodies, table):
-    """Undo what overlap rounding or a squeeze has left: the puck gives way, and at a wall the paddle does."""
+    """Undo the overlap that rounding or a squeeze has left: the puck gives way, and where it cannot the paddles do.
+
+    A paddle that has to give way is stopped along the contact: otherwise one that is held up by a puck against the
+    wall would go on striking it at full speed, and shoot it out sideways faster than anything on the table moves.
+    """
     puck = bodies[PUCK]
     touching = table.puck_radius + table.paddle_radius
     _keep_on_table(puck, table)
+    push_x, push_y = 0.0, 0.0
     for seat in (LEFT, RIGHT):
-        paddle = bodies[seat]
-        gap_x, gap_y = puck[X] - paddle[X], puck[Y] - paddle[Y]
-        gap = hypot(gap_x, gap_y)
-        if gap >= touching:
-            continue
-        if gap == 0.0:  # no direction: toward the table's centre
-            gap_x, gap_y, gap = (1.0 if seat == LEFT else -1.0), 0.0, 1.0
-        puck[X] = paddle[X] + gap_x / gap * touching
-        puck[Y] = paddle[Y] + gap_y / gap * touching
-        _keep_on_table(puck, table)
-        gap_x, gap_y = paddle[X] - puck[X], paddle[Y] - puck[Y]
-        gap = hypot(gap_x, gap_y)
-        if 0.0 < gap < touching:
-            inner, outer = table.paddle_radius, table.length / 2 - table.paddle_radius
+        toward_x, toward_y, gap = _from_paddle_to_puck(bodies, seat)
+        overlap = max(touching - gap, 0.0)
+        push_x += overlap * toward_x
+        push_y += overlap * toward_y
+    if push_x == 0.0 and push_y == 0.0:
+        return
+    puck[X] += push_x
+    puck[Y] += push_y
+    _keep_on_table(puck, table)
+    inner, outer = table.paddle_radius, table.length / 2 - table.paddle_radius
+    side = table.width / 2 - table.paddle_radius
+    for seat in (LEFT, RIGHT):
+        toward_x, toward_y, gap = _from_paddle_to_puck(bodies, seat)
+        if gap < touching - ROUNDING:
+            paddle = bodies[seat]
             low_x, high_x = (-outer, -inner) if seat == LEFT else (inner, outer)
-            side = table.width / 2 - table.paddle_radius
-            paddle[X] = clamp(puck[X] + gap_x / gap * touching, low_x, high_x)
-            paddle[Y] = clamp(puck[Y] + gap_y / gap * touching, -side, side)
+            paddle[X] = clamp(puck[X] - touching * toward_x, low_x, high_x)
+            paddle[Y] = clamp(puck[Y] - touching * toward_y, -side, side)
+            pressing = max(paddle[VX] * toward_x + paddle[VY] * toward_y, 0.0)
+            paddle[VX] -= pressing * toward_x
+            paddle[VY] -= pressing * toward_y
 
 
 @njit(cache=True, inline="always")

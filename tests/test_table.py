@@ -165,6 +165,22 @@ def test_a_paddle_keeps_to_its_limits_and_arrives():
     assert bodies[LEFT, :2] == pytest.approx(target[LEFT], abs=1e-3)
 
 
+def test_a_wedged_puck_is_not_shot_out_faster_than_strokes_can_make_it():
+    """Paddle and wall alternately, at their best: v = (1 + e) V / (1 - e e_wall), whatever the angle of the wedge."""
+    rng = np.random.default_rng(0)
+    fastest = (
+        (1 + TABLE.paddle_restitution) * TABLE.paddle_speed / (1 - TABLE.paddle_restitution * TABLE.wall_restitution)
+    )
+    for _ in range(300):
+        bodies = table_with((rng.uniform(-0.9, -0.05), SIDE, 0.0, 0.0), left=(rng.uniform(-0.9, -0.05), 0.2))
+        for _ in range(100):
+            target = bodies[PUCK, :2] + rng.normal(0, 0.05, 2)
+            goal, _ = tick(bodies, np.array([target, [np.nan, np.nan]]), TABLE)
+            assert np.hypot(*bodies[PUCK, 2:]) < 1.2 * fastest  # sideways it keeps what it had
+            if goal:
+                break
+
+
 def test_a_puck_squeezed_into_the_wall_stays_on_the_table():
     bodies = table_with((-0.4, SIDE - 0.01, 0.0, 0.0), left=(-0.4, 0.3))
     target = np.array([[-0.4, 0.6], [np.nan, np.nan]])
