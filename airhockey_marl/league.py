@@ -10,7 +10,8 @@ import numpy as np
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
-from torch.func import functional_call
+
+from airhockey_marl.policy import GaussianPolicy
 
 
 class Sampler(Protocol):
@@ -53,7 +54,7 @@ class League:
     Adding one copies its weights, so training never moves a generation; `hashes` says so.
     """
 
-    def __init__(self, policy: nn.Module) -> None:
+    def __init__(self, policy: GaussianPolicy) -> None:
         self.policy = policy  # the architecture; its own weights are not used
         self.snapshots: list[TensorDict] = []
         self.hashes: list[str] = []
@@ -61,7 +62,7 @@ class League:
     def __len__(self) -> int:
         return len(self.snapshots)
 
-    def add(self, policy: nn.Module) -> str:
+    def add(self, policy: GaussianPolicy) -> str:
         """Freeze a copy of the policy as the next generation; returns the hash of its weights."""
         snapshot = weights_of(policy).clone().lock_()
         self.snapshots.append(snapshot)
@@ -78,7 +79,7 @@ class League:
             raise ValueError(f"generation = {index} must be below {len(self)}, the number of generations")
         return self.snapshots[index]
 
-    def player(self, index: int) -> nn.Module:
+    def player(self, index: int) -> GaussianPolicy:
         """One generation as a policy of its own; see `generation` for the index."""
         policy = copy.deepcopy(self.policy).requires_grad_(False)
         policy.load_state_dict(self.generation(index).flatten_keys(".").to_dict())
@@ -94,7 +95,7 @@ class League:
         return dict(torch.stack(self.snapshots).contiguous().flatten_keys(".").items())
 
     @classmethod
-    def from_stacked(cls, policy: nn.Module, tensors: dict[str, Tensor]) -> "League":
+    def from_stacked(cls, policy: GaussianPolicy, tensors: dict[str, Tensor]) -> "League":
         """The league that `stacked` described.
 
         Raises:
@@ -109,12 +110,12 @@ class League:
         return league
 
 
-def weights_of(policy: nn.Module) -> TensorDict:
+def weights_of(policy: GaussianPolicy) -> TensorDict:
     """The policy's parameters, nested like its modules; not its buffers, which are constants of the architecture."""
     return TensorDict({name: tensor.detach() for name, tensor in policy.named_parameters()}).unflatten_keys(".")
 
 
-def require_weights(policy: nn.Module, shapes: Mapping[str, tuple[int, ...]]) -> None:
+def require_weights(policy: GaussianPolicy, shapes: Mapping[str, tuple[int, ...]]) -> None:
     """Refuse weights of other names or shapes than the policy's.
 
     Raises:
@@ -144,19 +145,14 @@ class Opponents(nn.Module):
         generations: (k,) which ones they are; table i faces `generations[i * k // n]`.
     """
 
-    def __init__(self, policy: nn.Module, weights: TensorDict, generations: np.ndarray) -> None:
+    def __init__(self, policy: GaussianPolicy, weights: TensorDict, generations: np.ndarray) -> None:
         super().__init__()
-        self.generations = generations
-        self.weights = weights.contiguous().lock_()
-
-        def forward(weights: TensorDict, observation: Tensor) -> tuple[Tensor, Tensor]:
-            return functional_call(policy, weights.flatten_keys(".").to_dict(), (observation,))
-
-        self._forward = torch.vmap(forward)
+        self.policy, self.generations = policy, generations
+        self.weights = weights.flatten_keys(".").contiguous().to_dict()
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""
         k = len(self.generations)
-        mean, std = self._forward(self.weights, observation.reshape(k, -1, observation.shape[-1]))
+        mean, std = self.policy.forward_each(self.weights, observation.reshape(k, -1, observation.shape[-1]))
         shape = (*observation.shape[:-1], -1)
         return mean.reshape(shape), std.reshape(shape)

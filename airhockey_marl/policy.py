@@ -1,7 +1,7 @@
 """The paper's model (Figure 3): a game state in, the mean and the standard deviation of an action out."""
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -36,6 +36,26 @@ class GaussianPolicy(nn.Module):
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (..., 12) to mean (..., 2), any number, and STD (..., 2), in (0, 1)."""
         mean, spread = self.head(self.layers(observation / self.scale)).chunk(2, dim=-1)
+        return mean, torch.sigmoid(spread)
+
+    def forward_each(self, weights: Mapping[str, Tensor], observation: Tensor) -> tuple[Tensor, Tensor]:
+        """k models of this architecture at once, in one batched product per layer.
+
+        Args:
+            weights: by the names of the parameters, (k, ...) each; this model's own are not used.
+            observation: (k, n, 12), each model's own.
+
+        Returns:
+            Mean and STD (k, n, 2).
+        """
+
+        def linear(name: str, inputs: Tensor) -> Tensor:
+            return torch.baddbmm(weights[f"{name}.bias"].unsqueeze(1), inputs, weights[f"{name}.weight"].mT)
+
+        hidden = observation / self.scale
+        for index, layer in enumerate(self.layers):
+            hidden = linear(f"layers.{index}", hidden) if isinstance(layer, nn.Linear) else layer(hidden)
+        mean, spread = linear("head", hidden).chunk(2, dim=-1)
         return mean, torch.sigmoid(spread)
 
 

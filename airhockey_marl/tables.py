@@ -50,6 +50,13 @@ def new_round(bodies, watch, rng, index, table):
 
 
 @njit(cache=True)
+def _new_rounds(bodies, watch, rng, which, table):
+    for index in range(len(bodies)):
+        if which[index]:
+            new_round(bodies[index], watch[index], rng, index, table)
+
+
+@njit(cache=True)
 def referee(bodies, watch, rng, index, table):
     """After a tick without a goal: serve again if the puck has stalled, or was kept in one half for too long.
 
@@ -142,8 +149,8 @@ class Tables:
 
     def new_rounds(self, which: np.ndarray | None = None) -> None:
         """Begin a round at the tables of the boolean mask `which` (n,); at all of them without it."""
-        for index in range(self.n) if which is None else np.flatnonzero(which):
-            new_round(self.bodies[index], self.watch[index], self.rng, index, self.table)
+        which = np.ones(self.n, dtype=bool) if which is None else which
+        _new_rounds(self.bodies, self.watch, self.rng, which, self.table)
 
     def step(self, actions: np.ndarray, ticks: int = 1) -> None:
         """Play a tick, or several with the same actions; a table stops at a goal.

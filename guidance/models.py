@@ -7,14 +7,14 @@ from pathlib import Path
 import numpy as np
 import torch
 from tensordict import TensorDict
-from torch import Tensor, nn
+from torch import Tensor
 
 from airhockey_marl.files import load_tensors, save_tensors, sha256
 from airhockey_marl.league import League, require_weights
 from airhockey_marl.policy import GaussianPolicy
 from guidance.conditions import ADAPTED, OPTIMAL, USER, Condition, Guided, Target
 from guidance.forces import lookahead
-from guidance.maml import forward_each, parameters
+from guidance.maml import parameters
 from guidance.user_model import adapt_to_user
 
 
@@ -68,9 +68,9 @@ class Models:
         hashes: SHA-256 of the file of each.
     """
 
-    optimal: nn.Module
-    user: nn.Module
-    meta: nn.Module
+    optimal: GaussianPolicy
+    user: GaussianPolicy
+    meta: GaussianPolicy
     inner_lr: float
     hashes: dict[str, str]
 
@@ -140,7 +140,7 @@ class Guide:
         }
         if self._asking[ADAPTED] and (adapted is None or adapted.batch_size != (users,)):
             raise ValueError(f"adapted: needs the parameters of each of the {users} users")
-        self.adapted = adapted
+        self._adapted = {} if adapted is None else adapted.flatten_keys(".").to_dict()
 
     @torch.no_grad()
     def __call__(self, state: np.ndarray, action: np.ndarray) -> Guided:
@@ -170,5 +170,5 @@ class Guide:
             return Target(*self.models.optimal(state))
         if model == USER:
             return Target(*self.models.user(state))
-        mean, std = forward_each(self.models.meta, self.adapted, state.transpose(0, 1))
+        mean, std = self.models.meta.forward_each(self._adapted, state.transpose(0, 1))
         return Target(mean.transpose(0, 1), std.transpose(0, 1))

@@ -23,6 +23,19 @@ def test_std_is_a_sigmoid_and_mean_is_free():
     assert ((std >= 0) & (std <= 1)).all() and mean.abs().max() > 1
 
 
+def test_many_models_at_once_are_each_model_by_itself():
+    models = [GaussianPolicy([16, 8]) for _ in range(3)]
+    weights = {
+        name: torch.stack([dict(m.named_parameters())[name] for m in models])
+        for name in dict(models[0].named_parameters())
+    }
+    observation = torch.randn(3, 5, 12)
+    mean, std = models[0].forward_each(weights, observation)
+    for k, model in enumerate(models):
+        expected = model(observation[k])
+        assert torch.allclose(mean[k], expected[0], atol=1e-6) and torch.allclose(std[k], expected[1], atol=1e-6)
+
+
 def test_no_layers_is_refused():
     with pytest.raises(ValueError, match="hidden"):
         GaussianPolicy([])
