@@ -221,8 +221,16 @@ def make_env(
         return AirHockeyTables(tables, round_seconds, decision_ticks, table, seed)
     if backend == "pettingzoo":
         games = [partial(_wrapped, round_seconds, decision_ticks, table, seed + i) for i in range(tables)]
-        return SerialEnv(tables, games)
+        env = SerialEnv(tables, games)
+        env.start()
+        return env
     raise ValueError(f"env.backend = {backend!r} must be 'batched' or 'pettingzoo'")
+
+
+def serve_streams(env: EnvBase) -> list[np.ndarray]:
+    """The random numbers of the tables of `make_env`, as views (uint64) to read and to set."""
+    games = [env] if isinstance(env, AirHockeyTables) else [wrapped.unwrapped for wrapped in env._envs]
+    return [game.tables.rng for game in games]
 
 
 def _wrapped(round_seconds: float, decision_ticks: int, table: Table | None, seed: int) -> EnvBase:

@@ -1,8 +1,10 @@
 """The commands as people run them: whole, on tiny budgets, and with everything that can be typed wrong."""
 
 import json
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pandas as pd
@@ -64,6 +66,28 @@ def test_train_learns_from_pettingzoo_what_it_learns_from_the_batch(trained, tmp
     smoke("airhockey_marl.train", "env=pettingzoo", f"hydra.run.dir={tmp_path}")
     first, second = (json.loads((f / "card.json").read_text()) for f in (trained["league"].parent, tmp_path))
     assert first["hashes"] == second["hashes"]
+
+
+@pytest.mark.parametrize("env", ["batched", "pettingzoo"])
+def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, env):
+    """SIGKILL as soon as the first generation is behind it; the league and the card's scores are then the same."""
+    few = ["+preset=smoke", "generations=4", "steps_per_generation=500", f"env={env}"]
+    whole = start("airhockey_marl.train", *few, f"hydra.run.dir={tmp_path}/whole")
+    assert whole.returncode == 0, whole.stderr
+    killed = tmp_path / "killed"
+    command = [sys.executable, "-m", "airhockey_marl.train", *few, f"hydra.run.dir={killed}"]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while not (killed / "state.safetensors").exists():
+        assert process.poll() is None
+        time.sleep(0.001)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (killed / "card.json").exists()
+    resumed = start("airhockey_marl.train", f"resume={killed}", f"hydra.run.dir={tmp_path}/log")
+    assert resumed.returncode == 0, resumed.stderr
+    first, second = (json.loads((tmp_path / name / "card.json").read_text()) for name in ("whole", "killed"))
+    assert first["hashes"] == second["hashes"] and len(first["hashes"]) == 5
+    assert first["win_rate_of_last_against"] == second["win_rate_of_last_against"]
 
 
 def test_meta_train_scores_itself_on_people_it_has_not_seen(trained):
@@ -137,6 +161,7 @@ def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
         ("train", "league.sampler.delta=2", "delta = 2"),
         ("train", "algorithm=dqn", "algorithm = dqn must be one of trpo"),
         ("train", "hidden=[]", "hidden"),
+        ("train", "resume=nowhere", "resume = nowhere is not the folder of a run"),
         ("meta_train", "maml.inner_lr=-0.1", "maml.inner_lr = -0.1"),
         ("meta_train", "demonstrations.games=1", "demonstrations.games = 1"),
         ("meta_train", "models.league=nowhere", "no such file: nowhere"),
