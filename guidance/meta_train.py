@@ -97,9 +97,16 @@ def prediction_scores(meta: nn.Module, user: nn.Module, data: Demonstrations, in
     """How the models predict people they were not trained on: each person's last game, after UA with the first.
 
     Returns:
-        Per model the loss of Eq. 3 and the root mean square error in units of action. `persistence` predicts that the
-        action stays where the paddle is: what a model must beat to be called a prediction.
+        Per model the loss of Eq. 3 and the root mean square error in units of action. What a model must beat to be
+        called a prediction: `persistence`, the action is where the paddle is, and `extrapolation`, it is where the
+        paddle's velocity takes it in a time fitted to the first games.
     """
+
+    def paddle(observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Position and velocity (..., 2) of the own paddle in units of action, and per second."""
+        middle, half = (torch.tensor(part, dtype=torch.float32) for part in reach(Table()))
+        return (observation[..., 0:2] - middle) / half, observation[..., 2:4] / half
+
     first, last = data.observation[:, 0], data.observation[:, -1]  # (users, ticks, 12)
     action = data.action[:, -1]
     adapted = adapt_to_user(meta, parameters(meta), first, data.action[:, 0], inner_lr)
@@ -112,9 +119,11 @@ def prediction_scores(meta: nn.Module, user: nn.Module, data: Demonstrations, in
     for name, (mean, std) in predictions.items():
         scores[f"{name}_loss"] = prediction_loss(mean, std, action).item()
         scores[f"{name}_rmse"] = (mean - action).square().sum(-1).mean().sqrt().item()
-    middle, half = (torch.tensor(part, dtype=torch.float32) for part in reach(Table()))
-    paddle = (last[..., 0:2] - middle) / half
-    scores["persistence_rmse"] = (paddle - action).square().sum(-1).mean().sqrt().item()
+    place, velocity = paddle(first)
+    ahead = (velocity * (data.action[:, 0] - place)).sum() / velocity.square().sum()  # s
+    place, velocity = paddle(last)
+    for name, guess in (("persistence", place), ("extrapolation", place + ahead * velocity)):
+        scores[f"{name}_rmse"] = (guess - action).square().sum(-1).mean().sqrt().item()
     return scores
 
 
