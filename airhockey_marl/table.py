@@ -96,6 +96,14 @@ def clamp(value, low, high):
     return min(max(value, low), high)
 
 
+@njit(cache=True, inline="always")
+def _own_half(seat, table):
+    """Where a seat's paddle centre may be, in m: x from low to high, y up to `side` off the middle."""
+    inner, outer = table.paddle_radius, table.length / 2 - table.paddle_radius
+    low_x, high_x = (-outer, -inner) if seat == LEFT else (inner, outer)
+    return low_x, high_x, table.width / 2 - table.paddle_radius
+
+
 @njit(cache=True)
 def _drive_paddle(paddle, seat, goal_x, goal_y, dt, table):
     """Give the paddle its velocity for this sub-step: toward the goal, as fast as its two limits allow.
@@ -115,9 +123,7 @@ def _drive_paddle(paddle, seat, goal_x, goal_y, dt, table):
         change_y *= allowed / change
     velocity_x, velocity_y = paddle[VX] + change_x, paddle[VY] + change_y
 
-    inner, outer = table.paddle_radius, table.length / 2 - table.paddle_radius
-    low_x, high_x = (-outer, -inner) if seat == LEFT else (inner, outer)
-    side = table.width / 2 - table.paddle_radius
+    low_x, high_x, side = _own_half(seat, table)
     if not low_x <= paddle[X] + velocity_x * dt <= high_x:
         velocity_x = (clamp(paddle[X] + velocity_x * dt, low_x, high_x) - paddle[X]) / dt
     if not -side <= paddle[Y] + velocity_y * dt <= side:
@@ -251,13 +257,11 @@ def _separate(bodies, table):
     puck[X] += push_x
     puck[Y] += push_y
     _keep_on_table(puck, table)
-    inner, outer = table.paddle_radius, table.length / 2 - table.paddle_radius
-    side = table.width / 2 - table.paddle_radius
     for seat in (LEFT, RIGHT):
         toward_x, toward_y, gap = _from_paddle_to_puck(bodies, seat)
         if gap < touching - ROUNDING:
             paddle = bodies[seat]
-            low_x, high_x = (-outer, -inner) if seat == LEFT else (inner, outer)
+            low_x, high_x, side = _own_half(seat, table)
             paddle[X] = clamp(puck[X] - touching * toward_x, low_x, high_x)
             paddle[Y] = clamp(puck[Y] - touching * toward_y, -side, side)
             pressing = max(paddle[VX] * toward_x + paddle[VY] * toward_y, 0.0)

@@ -16,7 +16,7 @@ from guidance.users.arm import ARM, HAND_REACH, SUBSTEPS, begin_plan, hardest_ac
 from guidance.users.geometry import shot_direction, to_hand, to_table
 from guidance.users.intention import Intention, choose
 from guidance.users.mind import MIND
-from guidance.users.perception import LOOK_AHEAD_STEP, foresee, new_path, standard_normal
+from guidance.users.perception import LOOK_AHEAD, LOOK_AHEAD_STEP, foresee, standard_normal
 from guidance.users.population import TRAITS, LogNormal
 from guidance.users.rating import RATINGS, SIGNALS, appraisals
 
@@ -228,7 +228,7 @@ def test_a_new_round_puts_the_hand_back_and_keeps_the_ratings():
 
 
 def test_a_bounce_is_foreseen_as_the_table_does_it():
-    person, mind, path = sample_people(1, 0)[0], np.zeros(1, MIND)[0], new_path()
+    person, mind, path = sample_people(1, 0)[0], np.zeros(1, MIND)[0], np.empty((LOOK_AHEAD, 4))
     person["speed_noise"] = person["heading_noise"] = 0.0
     mind["sees_bounces"] = 1
     start = np.array([0.6, 0.1, -0.9, 0.9])

@@ -5,7 +5,6 @@ All lengths here are metres of the table in the person's own frame: x toward the
 
 from math import cos, exp, expm1, hypot, log, log1p, pi, sin, sqrt
 
-import numpy as np
 from numba import njit
 
 from airhockey_marl.tables import random_unit
@@ -100,8 +99,3 @@ def foresee(person, mind, percept, delay, table, path):
                         x, vx = wall, 0.0
         path[row, 0], path[row, 1], path[row, 2], path[row, 3] = x, y, vx, vy
     return scored
-
-
-def new_path() -> np.ndarray:
-    """Room for one path of `foresee`."""
-    return np.empty((LOOK_AHEAD, 4))
