@@ -5,7 +5,22 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from airhockey_marl.table import LEFT, PUCK, RIGHT, VX, VY, Table, X, Y, check_table, reach, tick
+from airhockey_marl.table import (
+    LEFT,
+    NO_CONTACT,
+    PUCK,
+    RIGHT,
+    VX,
+    VY,
+    Table,
+    X,
+    Y,
+    _first_contact,
+    _out_of_reach,
+    check_table,
+    reach,
+    tick,
+)
 
 TABLE = Table()
 TOUCHING = TABLE.puck_radius + TABLE.paddle_radius
@@ -76,6 +91,14 @@ def test_swapping_the_seats_mirrors_the_trajectory_exactly(state):
         assert mirrored_touched == (touched >> 1) | (touched & 1) << 1
         if goal:
             break
+
+
+@settings(max_examples=1000, deadline=None)
+@given(legal_states())
+def test_no_contact_is_out_of_reach(state):
+    bodies, _ = state
+    time, which, _ = _first_contact(bodies, TABLE)
+    assert which == NO_CONTACT or not _out_of_reach(bodies, np.nextafter(time, np.inf), TABLE)
 
 
 @settings(max_examples=200, deadline=None)
