@@ -17,6 +17,7 @@ test-slow: .venv/installed .venv/compiled  ## the long ones
 	$(BIN)/python -m pytest -m slow
 
 bench: .venv/installed .venv/compiled  ## speeds of this machine, as one JSON object
+	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bench]'
 	@$(BIN)/python -m tests.benchmarks
 
 board: .venv/installed  ## TensorBoard on outputs/

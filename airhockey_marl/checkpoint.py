@@ -1,68 +1,80 @@
 """All that a training run carries from one generation to the next, in one file, so that it can be resumed exactly."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import torch
 from torch import nn
+from torch.optim import Optimizer
 
 from airhockey_marl.files import load_tensors, save_tensors
 
 
 @dataclass
-class Learner:
-    """What learns, and the random numbers it learns by.
+class Checkpoint:
+    """What changes while a run learns, and the random numbers it learns by.
 
     Attributes:
-        policy, critic, optimizer: trained in place; the optimizer is the critic's.
+        parts: by name, the policy and whatever else is trained in place (`learner.Learner.parts`).
+        arrays: by name, what is counted, replaced in place.
         rng: draws the opponents.
         streams: the tables' random numbers, arrays of uint64; together with torch's own they are all there are.
     """
 
-    policy: nn.Module
-    critic: nn.Module
-    optimizer: torch.optim.Optimizer
+    parts: Mapping[str, nn.Module | Optimizer]
     rng: np.random.Generator
     streams: Sequence[np.ndarray]
 
-    def save(self, path: Path, generation: int) -> None:
-        """Write the state after so many generations, whole."""
+    def save(self, path: Path, facts: Mapping[str, object]) -> None:
+        """Write the state, whole; `facts` (any JSON) go with it."""
         tensors = {"torch_rng": torch.get_rng_state()}
-        tensors |= {f"policy.{name}": tensor for name, tensor in self.policy.state_dict().items()}
-        tensors |= {f"critic.{name}": tensor for name, tensor in self.critic.state_dict().items()}
-        for index, state in self.optimizer.state_dict()["state"].items():
-            tensors |= {f"optimizer.{index}.{name}": tensor for name, tensor in state.items()}
+        for part, owner in self.parts.items():
+            tensors |= {f"{part}.{name}": tensor for name, tensor in _tensors_of(owner).items()}
         for index, stream in enumerate(self.streams):
             tensors[f"streams.{index}"] = torch.from_numpy(stream.view(np.int64).copy())
-        save_tensors(path, tensors, {"generation": generation, "rng": self.rng.bit_generator.state})
+        save_tensors(path, tensors, {**facts, "rng": self.rng.bit_generator.state})
 
-    def load(self, path: Path) -> int:
-        """Take over the state that `save` wrote; returns the generations it has behind it.
+    def load(self, path: Path) -> dict[str, object]:
+        """Take over the state that `save` wrote; returns the facts.
 
         Raises:
-            ValueError: the file is missing, broken or of another architecture.
+            ValueError: the file is missing, broken or of another run's making.
         """
         tensors, facts = load_tensors(path)
-        parts: dict[str, dict[str, torch.Tensor]] = {}
+        of: dict[str, dict[str, torch.Tensor]] = {part: {} for part in (*self.parts, "streams", "torch_rng")}
         for name, tensor in tensors.items():
             part, _, rest = name.partition(".")
-            parts.setdefault(part, {})[rest] = tensor
-        if set(parts) != {"torch_rng", "policy", "critic", "optimizer", "streams"} or "generation" not in facts:
-            raise ValueError(f"{path} is not the state of a training run")
-        try:
-            self.policy.load_state_dict(parts["policy"])
-            self.critic.load_state_dict(parts["critic"])
-        except RuntimeError as error:
-            raise ValueError(f"{path} is of another architecture: {error}") from error
-        moments: dict[int, dict[str, torch.Tensor]] = {}
-        for name, tensor in parts["optimizer"].items():
-            index, _, what = name.partition(".")
-            moments.setdefault(int(index), {})[what] = tensor
-        self.optimizer.load_state_dict({**self.optimizer.state_dict(), "state": moments})
-        self.rng.bit_generator.state = facts["rng"]
+            of.setdefault(part, {})[rest] = tensor
+        if len(of) > len(self.parts) + 2 or not of["torch_rng"] or len(of["streams"]) != len(self.streams):
+            raise ValueError(f"{path} is not the state of such a training run")
+        for part, owner in self.parts.items():
+            _take_over(owner, of[part], f"{path}: {part}")
+        self.rng.bit_generator.state = facts.pop("rng")
         for index, stream in enumerate(self.streams):
-            stream[:] = parts["streams"][str(index)].numpy().view(np.uint64)
-        torch.set_rng_state(parts["torch_rng"][""])
-        return facts["generation"]
+            stream[:] = of["streams"][str(index)].numpy().view(np.uint64)
+        torch.set_rng_state(of["torch_rng"][""])
+        return facts
+
+
+def _tensors_of(owner: nn.Module | Optimizer) -> dict[str, torch.Tensor]:
+    """Everything that an optimizer or a module remembers, by name."""
+    if isinstance(owner, nn.Module):
+        return owner.state_dict()
+    memories = owner.state_dict()["state"]
+    return {f"{index}.{name}": tensor for index, memory in memories.items() for name, tensor in memory.items()}
+
+
+def _take_over(owner: nn.Module | Optimizer, tensors: dict[str, torch.Tensor], what: str) -> None:
+    if isinstance(owner, nn.Module):
+        try:
+            owner.load_state_dict(tensors)
+        except RuntimeError as error:
+            raise ValueError(f"{what} is of another architecture: {error}") from error
+        return
+    memories: dict[int, dict[str, torch.Tensor]] = {}
+    for name, tensor in tensors.items():
+        index, _, memory = name.partition(".")
+        memories.setdefault(int(index), {})[memory] = tensor
+    owner.load_state_dict({**owner.state_dict(), "state": memories})

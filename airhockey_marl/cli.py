@@ -137,17 +137,21 @@ def require_counts(cfg: DictConfig, *keys: str, least: int = 1) -> None:
             raise InputError(f"{key} = {value} must be a whole number of at least {least}")
 
 
-def require_numbers(cfg: DictConfig, *keys: str, above: float = 0.0, at_most: float = float("inf")) -> None:
-    """Refuse keys, dots for nesting, that are not numbers above `above` and at most `at_most`.
+def require_numbers(
+    cfg: DictConfig, *keys: str, above: float = 0.0, least: float | None = None, at_most: float = float("inf")
+) -> None:
+    """Refuse keys, dots for nesting, that are not numbers above `above`, or from `least` on, and at most `at_most`.
 
     Raises:
         InputError: names the key, its value and what is allowed.
     """
     for key in keys:
         value = OmegaConf.select(cfg, key)
-        if not isinstance(value, int | float) or isinstance(value, bool) or not above < value <= at_most:
-            bound = "" if at_most == float("inf") else f" and at most {at_most}"
-            raise InputError(f"{key} = {value} must be a number above {above}{bound}")
+        number = isinstance(value, int | float) and not isinstance(value, bool)
+        if not number or value > at_most or not (value > above if least is None else value >= least):
+            lowest = f"above {above}" if least is None else f"of at least {least}"
+            highest = "" if at_most == float("inf") else f" and at most {at_most}"
+            raise InputError(f"{key} = {value} must be a number {lowest}{highest}")
 
 
 class ProgressBar:

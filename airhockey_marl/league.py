@@ -1,51 +1,19 @@
-"""Generation-based self-play (section 3.2.2, after Bansal et al. 2018): the frozen generations, and who meets whom."""
+"""Generation-based self-play (section 3.2.2, after Bansal et al. 2018): frozen generations, and line-ups of them."""
 
 import copy
 import hashlib
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Protocol
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
-import numpy as np
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
+from airhockey_marl.anchors import ANCHORS
+from airhockey_marl.files import load_tensors, save_tensors
 from airhockey_marl.policy import GaussianPolicy
 
-
-class Sampler(Protocol):
-    """Chooses opponents: gives each generation of a pool its probability."""
-
-    def probabilities(self, generations: int) -> np.ndarray: ...
-
-
-@dataclass(frozen=True)
-class Latest:
-    """Always the newest generation."""
-
-    def probabilities(self, generations: int) -> np.ndarray:
-        return np.eye(generations)[-1]
-
-
-@dataclass(frozen=True)
-class DeltaUniform:
-    """Uniform over the newest share (1 - delta) of all generations (Bansal et al. 2018, section 4.2).
-
-    `delta` = 0 is uniform over all of them; 1 would be the latest alone.
-    """
-
-    delta: float
-
-    def __post_init__(self) -> None:
-        if not 0 <= self.delta < 1:
-            raise ValueError(f"league.sampler.delta = {self.delta} must be in [0, 1)")
-
-    def probabilities(self, generations: int) -> np.ndarray:
-        oldest = min(int(self.delta * generations), generations - 1)
-        chances = np.zeros(generations)
-        chances[oldest:] = 1 / (generations - oldest)
-        return chances
+Member = int | str  # of a pool: a generation's number or an anchor's name
 
 
 class League:
@@ -79,20 +47,50 @@ class League:
             raise ValueError(f"generation = {index} must be below {len(self)}, the number of generations")
         return self.snapshots[index]
 
+    def until(self, index: int) -> "League":
+        """The league as it was when generation `index` was its newest."""
+        league = League(self.policy)
+        league.snapshots, league.hashes = self.snapshots[: index + 1], self.hashes[: index + 1]
+        return league
+
     def player(self, index: int) -> GaussianPolicy:
         """One generation as a policy of its own; see `generation` for the index."""
         policy = copy.deepcopy(self.policy).requires_grad_(False)
         policy.load_state_dict(self.generation(index).flatten_keys(".").to_dict())
         return policy
 
-    def opponents(self, sampler: Sampler, number: int, rng: np.random.Generator) -> "Opponents":
-        """Draw `number` generations and seat them together."""
-        drawn = rng.choice(len(self), size=number, p=sampler.probabilities(len(self)))
-        return Opponents(self.policy, torch.stack([self.snapshots[g] for g in drawn]), drawn)
+    def lineup(self, members: Sequence[Member]) -> "Lineup":
+        """Seat these members together, each at as many tables as any other.
+
+        Raises:
+            ValueError: one of them is neither a generation of this league nor an anchor.
+        """
+        unknown = [member for member in members if isinstance(member, str) and member not in ANCHORS]
+        if unknown:
+            raise ValueError(f"anchor = {unknown[0]!r} must be one of {', '.join(ANCHORS)}")
+        generations = [self.generation(member) for member in members if not isinstance(member, str)]
+        return Lineup(self.policy, torch.stack(generations) if generations else None, members)
 
     def stacked(self) -> dict[str, Tensor]:
         """All weights by name, (generations, ...) each: what a league's file holds."""
         return dict(torch.stack(self.snapshots).contiguous().flatten_keys(".").items())
+
+    def save(self, path: Path | str) -> None:
+        """Write every generation to a safetensors file."""
+        save_tensors(path, self.stacked(), self.policy.facts)
+
+    @classmethod
+    def load(cls, path: Path | str) -> "League":
+        """Read what `save` wrote.
+
+        Raises:
+            ValueError: the file is missing, broken, or not of the shape it says it is.
+        """
+        tensors, facts = load_tensors(path)
+        try:
+            return cls.from_stacked(GaussianPolicy.from_facts(facts), tensors)
+        except ValueError as error:
+            raise ValueError(f"{path}: {error}") from error
 
     @classmethod
     def from_stacked(cls, policy: GaussianPolicy, tensors: dict[str, Tensor]) -> "League":
@@ -138,21 +136,30 @@ def weights_hash(weights: TensorDict) -> str:
     return digest.hexdigest()
 
 
-class Opponents(nn.Module):
-    """k frozen generations that share n tables, n / k each, evaluated in one batched forward pass.
+class Lineup(nn.Module):
+    """k members that share n tables, n / k each: the generations in one batched forward pass, the anchors by script.
 
     Attributes:
-        generations: (k,) which ones they are; table i faces `generations[i * k // n]`.
+        members: (k,) who they are; table i is the seat of `members[i * k // n]`.
     """
 
-    def __init__(self, policy: GaussianPolicy, weights: TensorDict, generations: np.ndarray) -> None:
+    def __init__(self, policy: GaussianPolicy, weights: TensorDict | None, members: Sequence[Member]) -> None:
         super().__init__()
-        self.policy, self.generations = policy, generations
-        self.weights = weights.flatten_keys(".").contiguous().to_dict()
+        self.policy, self.members = policy, list(members)
+        self.weights = None if weights is None else weights.flatten_keys(".").contiguous().to_dict()
+        self.scripted = {place: ANCHORS[member] for place, member in enumerate(members) if isinstance(member, str)}
+        self.learned = [place for place in range(len(members)) if place not in self.scripted]
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""
-        k = len(self.generations)
-        mean, std = self.policy.forward_each(self.weights, observation.reshape(k, -1, observation.shape[-1]))
         shape = (*observation.shape[:-1], -1)
+        shared = observation.reshape(len(self.members), -1, observation.shape[-1])
+        if not self.scripted:
+            mean, std = self.policy.forward_each(self.weights, shared)
+        else:
+            mean, std = shared.new_empty((2, *shared.shape[:-1], 2))
+            if self.learned:
+                mean[self.learned], std[self.learned] = self.policy.forward_each(self.weights, shared[self.learned])
+            for place, anchor in self.scripted.items():
+                mean[place], std[place] = anchor(shared[place])
         return mean.reshape(shape), std.reshape(shape)

@@ -1,7 +1,7 @@
 """Matches between two policies: who wins how many rounds."""
 
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
@@ -11,6 +11,7 @@ from airhockey_marl.env import OBSERVATION_SIZE, steps_of
 from airhockey_marl.table import LEFT, RIGHT, Table
 from airhockey_marl.tables import Tables
 
+DECISION_TICKS = 2  # a decision is held for so many ticks, in training (conf/env) and in matches
 Player = Callable[[Tensor], Tensor]  # observations (n, 12) -> actions (n, 2)
 
 
@@ -43,22 +44,41 @@ def sampled(policy: Callable[[Tensor], tuple[Tensor, Tensor]], generator: torch.
 
 
 @torch.no_grad()
-def play_match(
-    left: Player, right: Player, rounds: int, seed: int, round_seconds: float = 30.0, table: Table | None = None
-) -> Result:
-    """Play `rounds` rounds side by side, one per table, each until a goal or for `round_seconds`."""
-    tables = Tables(rounds, table)
-    tables.seed(seed)
-    tables.new_rounds()
-    seen = np.empty((2, rounds, OBSERVATION_SIZE), dtype=np.float32)
-    actions = np.empty((rounds, 2, 2), dtype=np.float32)
-    outcome = np.zeros(rounds, dtype=np.int64)
-    for _ in range(steps_of(round_seconds, tables.table)):
+def play_rounds(
+    left: Player,
+    right: Player,
+    tables: int,
+    rounds: int,
+    seed: int,
+    round_seconds: float = 30.0,
+    decision_ticks: int = DECISION_TICKS,
+    table: Table | None = None,
+) -> np.ndarray:
+    """Play `rounds` rounds at each of `tables` tables, one after another, each until a goal or for `round_seconds`.
+
+    Returns:
+        (tables, 3) int: rounds won by the left player, lost, and undecided, as in `Result`.
+    """
+    games = Tables(tables, table)
+    games.seed(seed)
+    games.new_rounds()
+    longest = steps_of(round_seconds, games.table, decision_ticks)
+    seen = np.empty((2, tables, OBSERVATION_SIZE), dtype=np.float32)
+    actions = np.empty((tables, 2, 2), dtype=np.float32)
+    score, steps = np.zeros((tables, 3), dtype=np.int64), np.zeros(tables, dtype=np.int64)
+    while (score.sum(axis=1) < rounds).any():
         for seat, player in ((LEFT, left), (RIGHT, right)):
-            actions[:, seat] = player(torch.from_numpy(tables.observe(seat, seen[seat]))).numpy()
-        tables.step(actions)
-        outcome = np.where(outcome == 0, tables.goals, outcome)
-        if outcome.all():
-            break
-        tables.new_rounds(tables.goals != 0)  # a finished table plays on unheeded
-    return Result(int((outcome == 1).sum()), int((outcome == -1).sum()), int((outcome == 0).sum()))
+            actions[:, seat] = player(torch.from_numpy(games.observe(seat, seen[seat]))).numpy()
+        games.step(actions, decision_ticks)
+        steps += 1
+        over = (games.goals != 0) | (steps >= longest)
+        counts = over & (score.sum(axis=1) < rounds)  # a table that has played its rounds plays on unheeded
+        score[counts, 1 - games.goals[counts]] += 1
+        games.new_rounds(over)
+        steps[over] = 0
+    return score[:, [0, 2, 1]]
+
+
+def play_match(left: Player, right: Player, rounds: int, seed: int, **options: Any) -> Result:
+    """Play `rounds` rounds side by side, one per table; see `play_rounds` for the options."""
+    return Result(*map(int, play_rounds(left, right, rounds, 1, seed, **options).sum(axis=0)))

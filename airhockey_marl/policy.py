@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -12,6 +13,31 @@ USER_PREDICTION_HIDDEN = (80, 80, 80, 80)
 # An observation's numbers divided by these are about 1: half a table's length and width in m, fast paddles in m/s.
 # Constants rather than running statistics, which would move under a frozen opponent's feet.
 BODY_SCALE = (0.97, 0.52, 3.0, 3.0)
+STROKE = 0.3  # m, the scale of the puck's place as seen from the paddle: a stroke is decided by centimetres
+TABLE, PADDLE = "table", "paddle"  # where the puck's place is measured from
+
+
+class Inputs(nn.Module):
+    """Observations (..., 12) as a network takes them: an invertible linear map to 12 numbers of about 1.
+
+    Args:
+        origin: of the puck's place: "table", its centre, as in the observation; or "paddle", the own one.
+    """
+
+    def __init__(self, origin: str) -> None:
+        super().__init__()
+        if origin not in (TABLE, PADDLE):
+            raise ValueError(f"inputs = {origin!r} must be {TABLE!r} or {PADDLE!r}")
+        self.origin, scale = origin, torch.tensor(BODY_SCALE * 3)
+        if origin == PADDLE:
+            scale[8:10] = STROKE
+        self.register_buffer("scale", scale, persistent=False)
+
+    def forward(self, observation: Tensor) -> Tensor:
+        if self.origin == TABLE:
+            return observation / self.scale
+        place = observation[..., 8:10] - observation[..., 0:2]
+        return torch.cat([observation[..., :8], place, observation[..., 10:]], dim=-1) / self.scale
 
 
 class GaussianPolicy(nn.Module):
@@ -19,23 +45,40 @@ class GaussianPolicy(nn.Module):
 
     Args:
         hidden: sizes of the hidden layers.
+        inputs: where the puck's place is measured from, see `Inputs`.
     """
 
-    def __init__(self, hidden: Sequence[int] = OPTIMAL_ACTION_HIDDEN) -> None:
+    def __init__(self, hidden: Sequence[int] = OPTIMAL_ACTION_HIDDEN, inputs: str = TABLE) -> None:
         super().__init__()
         if not hidden or min(hidden) < 1:
             raise ValueError(f"hidden = {tuple(hidden)} must name at least one layer, each of at least 1 unit")
         self.hidden = tuple(hidden)
-        self.register_buffer("scale", torch.tensor(BODY_SCALE * 3), persistent=False)
+        self.inputs = Inputs(inputs)
         self.layers = nn.Sequential(*relu_layers(12, self.hidden))
         self.head = nn.Linear(self.hidden[-1], 4)
-        with torch.no_grad():  # begin near the middle of one's side, and less wild than sigmoid(0) = 0.5
+        with torch.no_grad():  # begin near the middle of one's side, with a STD of sigmoid(0) = 0.5
             self.head.weight *= 0.1
-            self.head.bias[:] = torch.tensor([0.0, 0.0, 0.0, 0.0])
+            self.head.bias.zero_()
+
+    @property
+    def facts(self) -> dict[str, Any]:
+        """What must be known of a file of weights to use them; see `from_facts`."""
+        return {"hidden": list(self.hidden), "inputs": self.inputs.origin}
+
+    @classmethod
+    def from_facts(cls, facts: Mapping[str, Any]) -> "GaussianPolicy":
+        """A model, untrained, of the architecture that a file's facts describe.
+
+        Raises:
+            ValueError: they describe none.
+        """
+        if "hidden" not in facts:
+            raise ValueError("does not say its hidden sizes: not a file of this project")
+        return cls(facts["hidden"], facts.get("inputs", TABLE))
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (..., 12) to mean (..., 2), any number, and STD (..., 2), in (0, 1)."""
-        mean, spread = self.head(self.layers(observation / self.scale)).chunk(2, dim=-1)
+        mean, spread = self.head(self.layers(self.inputs(observation))).chunk(2, dim=-1)
         return mean, torch.sigmoid(spread)
 
     def forward_each(self, weights: Mapping[str, Tensor], observation: Tensor) -> tuple[Tensor, Tensor]:
@@ -52,7 +95,7 @@ class GaussianPolicy(nn.Module):
         def linear(name: str, inputs: Tensor) -> Tensor:
             return torch.baddbmm(weights[f"{name}.bias"].unsqueeze(1), inputs, weights[f"{name}.weight"].mT)
 
-        hidden = observation / self.scale
+        hidden = self.inputs(observation)
         for index, layer in enumerate(self.layers):
             hidden = linear(f"layers.{index}", hidden) if isinstance(layer, nn.Linear) else layer(hidden)
         mean, spread = linear("head", hidden).chunk(2, dim=-1)
@@ -62,17 +105,26 @@ class GaussianPolicy(nn.Module):
 class Critic(nn.Module):
     """The value of a state, for the reinforcement learning of the optimal action model: 12 -> hidden tanh -> 1."""
 
-    def __init__(self, hidden: Sequence[int] = (64, 64)) -> None:
+    def __init__(self, hidden: Sequence[int] = (64, 64), inputs: str = PADDLE) -> None:
         super().__init__()
-        self.register_buffer("scale", torch.tensor(BODY_SCALE * 3), persistent=False)
+        self.inputs = Inputs(inputs)
         self.layers = nn.Sequential(*relu_layers(12, tuple(hidden), nn.Tanh), nn.Linear(hidden[-1], 1))
 
     def forward(self, observation: Tensor) -> Tensor:
         """Map observations (..., 12) to values (..., 1)."""
-        return self.layers(observation / self.scale)
+        return self.layers(self.inputs(observation))
 
 
 def relu_layers(inputs: int, hidden: Sequence[int], activation: type[nn.Module] = nn.ReLU) -> list[nn.Module]:
-    """Fully connected layers of the sizes `hidden`, each followed by its activation."""
-    sizes = (inputs, *hidden)
-    return [layer for a, b in itertools.pairwise(sizes) for layer in (nn.Linear(a, b), activation())]
+    """Fully connected layers of the sizes `hidden`, each followed by its activation.
+
+    They begin orthogonal, at a scale that keeps activations about as large as the inputs, which on-policy learning
+    wants (Andrychowicz et al. 2021, section 3.2); torch's own beginnings shrink them layer by layer.
+    """
+    sizes, layers = (inputs, *hidden), []
+    for a, b in itertools.pairwise(sizes):
+        linear = nn.Linear(a, b)
+        nn.init.orthogonal_(linear.weight, gain=2**0.5)
+        nn.init.zeros_(linear.bias)
+        layers += [linear, activation()]
+    return layers

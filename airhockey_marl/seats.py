@@ -4,21 +4,31 @@ import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import nn
-from torchrl.modules import IndependentNormal, ProbabilisticActor
 
 from airhockey_marl.shaping import Shaping
 
 LEARNER, OPPONENT = "left", "right"  # seats are alike, so the learner always takes the left one
 
 
-def actor(seat: str, policy: nn.Module) -> ProbabilisticActor:
+def actor(seat: str, policy: nn.Module) -> TensorDictModule:
     """Let a policy act in a seat, sampling from its Gaussian."""
-    return ProbabilisticActor(
-        TensorDictModule(policy, in_keys=[(seat, "observation")], out_keys=[(seat, "loc"), (seat, "scale")]),
-        in_keys={"loc": (seat, "loc"), "scale": (seat, "scale")},
-        out_keys=[(seat, "action")],
-        distribution_class=IndependentNormal,
-    )
+    return TensorDictModule(Sampling(policy), in_keys=[(seat, "observation")], out_keys=[(seat, "action")])
+
+
+class Sampling(nn.Module):
+    """Actions (..., 2) drawn from what a policy says about observations (..., 12).
+
+    A whole `ProbabilisticActor` would be slower: no algorithm here needs the log-probabilities of the moment, each
+    works them out for a batch at a time.
+    """
+
+    def __init__(self, policy: nn.Module) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(self, observation: torch.Tensor) -> torch.Tensor:
+        mean, std = self.policy(observation)
+        return mean + std * torch.randn_like(mean)
 
 
 class Seat(nn.Module):

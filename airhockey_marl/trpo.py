@@ -12,6 +12,7 @@ import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
+from torchrl.objectives.value.functional import generalized_advantage_estimate
 
 
 def conjugate_gradient(matvec: Callable[[Tensor], Tensor], b: Tensor, steps: int, tolerance: float = 1e-10) -> Tensor:
@@ -71,22 +72,46 @@ class FisherVectorProduct:
         return torch.cat([part.reshape(-1) for part in product]) + self.damping * vector
 
 
+@torch.no_grad()
+def advantages(critic: nn.Module, view: TensorDictBase, gamma: float, gae_lambda: float) -> tuple[Tensor, Tensor]:
+    """Generalized advantage estimates (Schulman et al. 2016) and the critic's targets, (tables, steps, 1) each.
+
+    Args:
+        view: (tables, steps) as for `learner.Learner`. Where a round goes on, the next step's value is the value of
+            the next observation; only the others are asked for apart, which halves the work.
+    """
+    following, value = view["next"], critic(view["observation"])
+    apart = following["done"].squeeze(-1).clone()
+    apart[:, -1] = True
+    next_value = value.roll(-1, dims=1)
+    next_value[apart] = critic(following["observation"][apart])
+    flags = {name: following[name] for name in ("reward", "done", "terminated")}
+    return generalized_advantage_estimate(gamma, gae_lambda, value, next_value, **flags)
+
+
 @dataclass(frozen=True)
 class TRPO:
-    """The settings of an update, and the update.
+    """The settings of TRPO.
 
     Attributes:
         max_kl: radius of the trust region, in nats.
         cg_steps, damping: of the conjugate gradient.
+        fisher_share: share of the batch's states on which the Fisher matrix is evaluated; it needs fewer than the
+            gradient does (Schulman et al. 2015, appendix C).
         backtracks, shrink: how often, and by how much, a step that fails is shortened.
-        critic_passes, critic_minibatch, critic_lr: regression of the critic, by Adam, on each batch.
+        gae_lambda: trade-off between bias (0) and variance (1) of the advantages (Schulman et al. 2016).
+        critic: makes the critic, observations (..., 12) to values (..., 1).
+        critic_passes, critic_minibatch, critic_lr: its regression, by Adam, on each batch.
     """
 
     max_kl: float
     cg_steps: int
     damping: float
+    fisher_share: float
     backtracks: int
     shrink: float
+    gae_lambda: float
+    critic: Callable[[], nn.Module]
     critic_passes: int
     critic_minibatch: int
     critic_lr: float
@@ -95,73 +120,87 @@ class TRPO:
         for name in ("max_kl", "cg_steps", "backtracks", "critic_passes", "critic_minibatch", "critic_lr"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"algorithm.{name} = {getattr(self, name)} must be above 0")
+        for name in ("fisher_share", "gae_lambda"):
+            if not 0 < getattr(self, name) <= 1:
+                raise ValueError(f"algorithm.{name} = {getattr(self, name)} must be above 0 and at most 1")
         if not (self.damping >= 0 and 0 < self.shrink < 1):
             raise ValueError(
                 f"algorithm.damping = {self.damping} must be at least 0, "
                 f"algorithm.shrink = {self.shrink} between 0 and 1"
             )
 
-    def optimizer(self, critic: nn.Module) -> torch.optim.Optimizer:
-        """The optimizer that `update` drives the critic with; it lives as long as the run."""
-        return torch.optim.Adam(critic.parameters(), lr=self.critic_lr)
+    def learner(self, policy: nn.Module, gamma: float) -> "TrustRegion":
+        """Begin to train `policy`, observations to (mean, STD); `gamma` is per decision."""
+        return TrustRegion(self, policy, gamma)
 
-    def update(
-        self, policy: nn.Module, critic: nn.Module, optimizer: torch.optim.Optimizer, batch: TensorDictBase
-    ) -> dict[str, float]:
-        """Improve the policy, then the critic, in place.
 
-        Args:
-            batch: flat (n,), with observation (n, 12), action (n, 2), advantage (n, 1) and value_target (n, 1).
+class TrustRegion:
+    """TRPO at work on one policy: advantages, the policy's step, the critic's regression."""
+
+    def __init__(self, settings: TRPO, policy: nn.Module, gamma: float) -> None:
+        self.settings, self.policy, self.gamma = settings, policy, gamma
+        self.critic = settings.critic()
+        self.optimizer = torch.optim.Adam(self.critic.parameters(), lr=settings.critic_lr, fused=True)
+
+    def parts(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
+        """What a checkpoint must hold; see `learner.Learner`."""
+        return {"critic": self.critic, "optimizer": self.optimizer}
+
+    def update(self, view: TensorDictBase) -> dict[str, float]:
+        """Improve the policy, then the critic, in place; see `learner.Learner` for the batch.
 
         Returns:
             What to log: kl, surrogate gain, accepted step (0 if none was), mean STD, critic loss.
         """
-        metrics = self._improve_policy(policy, batch["observation"], batch["action"], batch["advantage"].squeeze(-1))
-        metrics["critic_loss"] = self._fit_critic(critic, optimizer, batch["observation"], batch["value_target"])
+        advantage, target = advantages(self.critic, view, self.gamma, self.settings.gae_lambda)
+        observation, action = view["observation"].flatten(0, 1), view["action"].flatten(0, 1)
+        metrics = self.improve_policy(observation, action, advantage.flatten())
+        metrics["critic_loss"] = self.fit_critic(observation, target.flatten(0, 1))
         return metrics
 
-    def _improve_policy(
-        self, policy: nn.Module, observation: Tensor, action: Tensor, advantage: Tensor
-    ) -> dict[str, float]:
+    def improve_policy(self, observation: Tensor, action: Tensor, advantage: Tensor) -> dict[str, float]:
+        """One natural gradient step within the trust region: observations (n, 12), actions (n, 2), advantages (n,)."""
+        settings, policy = self.settings, self.policy
+        parameters = list(policy.parameters())
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        fisher = FisherVectorProduct(policy, observation, self.damping)
-        mean, std = fisher.outputs
+        mean, std = policy(observation)
         old_log_prob, old_mean, old_std = log_prob(mean, std, action).detach(), mean.detach(), std.detach()
 
         def surrogate(mean: Tensor, std: Tensor) -> Tensor:
             return ((log_prob(mean, std, action) - old_log_prob).exp() * advantage).mean()
 
-        parts = torch.autograd.grad(surrogate(mean, std), fisher.parameters, retain_graph=True)
+        parts = torch.autograd.grad(surrogate(mean, std), parameters)
         gradient = torch.cat([part.reshape(-1) for part in parts])
-        direction = conjugate_gradient(fisher, gradient, self.cg_steps)
+        every = round(1 / settings.fisher_share)
+        fisher = FisherVectorProduct(policy, observation[::every], settings.damping)
+        direction = conjugate_gradient(fisher, gradient, settings.cg_steps)
         curvature = direction.dot(fisher(direction))
         metrics = {"kl": 0.0, "gain": 0.0, "step": 0.0, "std": old_std.mean().item()}
         if not (torch.isfinite(curvature) and curvature > 0):
             return metrics
 
-        full_step = direction * torch.sqrt(2 * self.max_kl / curvature)
-        start = parameters_to_vector(fisher.parameters).detach()
+        full_step = direction * torch.sqrt(2 * settings.max_kl / curvature)
+        start = parameters_to_vector(parameters).detach()
         with torch.no_grad():
-            for attempt in range(self.backtracks):
-                fraction = self.shrink**attempt
-                vector_to_parameters(start + fraction * full_step, fisher.parameters)
+            for attempt in range(settings.backtracks):
+                fraction = settings.shrink**attempt
+                vector_to_parameters(start + fraction * full_step, parameters)
                 mean, std = policy(observation)
                 gain = surrogate(mean, std).item()  # the surrogate is 0 at the start: advantages have mean 0
                 kl = kl_divergence(old_mean, old_std, mean, std).item()
-                if gain > 0 and kl <= self.max_kl:
+                if gain > 0 and kl <= settings.max_kl:
                     return metrics | {"kl": kl, "gain": gain, "step": fraction}
-            vector_to_parameters(start, fisher.parameters)
+            vector_to_parameters(start, parameters)
         return metrics
 
-    def _fit_critic(
-        self, critic: nn.Module, optimizer: torch.optim.Optimizer, observation: Tensor, target: Tensor
-    ) -> float:
+    def fit_critic(self, observation: Tensor, target: Tensor) -> float:
+        """Some passes of regression on observations (n, 12) and targets (n, 1); returns the mean loss."""
         losses = []
-        for _ in range(self.critic_passes):
-            for index in torch.randperm(len(observation)).split(self.critic_minibatch):
-                loss = nn.functional.mse_loss(critic(observation[index]), target[index])
-                optimizer.zero_grad()
+        for _ in range(self.settings.critic_passes):
+            for index in torch.randperm(len(observation)).split(self.settings.critic_minibatch):
+                loss = nn.functional.mse_loss(self.critic(observation[index]), target[index])
+                self.optimizer.zero_grad()
                 loss.backward()
-                optimizer.step()
+                self.optimizer.step()
                 losses.append(loss.detach())
         return torch.stack(losses).mean().item()

@@ -21,11 +21,12 @@ from torch import Tensor
 
 from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import write_text
+from airhockey_marl.league import League
 from airhockey_marl.match import confident
 from airhockey_marl.table import Table
 from guidance.forces import lookahead, uncertainty_weight
 from guidance.maml import forward_each
-from guidance.models import Models, load_league
+from guidance.models import Models
 from guidance.study import Games, no_force, play_games, streams
 from guidance.users import Users, training_people
 
@@ -42,7 +43,7 @@ def main(cfg: DictConfig) -> None:
         people = training_people(cfg.seed, hydra.utils.instantiate(cfg.users.population))
         protocol = hydra.utils.instantiate(cfg.study, familiarisation=0)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        league = load_league(cfg.models.league)
+        league = League.load(cfg.models.league)
         if cfg.opponent is not None:
             league.generation(cfg.opponent)
     torch.set_num_threads(cfg.threads)

@@ -23,10 +23,11 @@ from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.cli import CONF, ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import replacing, write_json
+from airhockey_marl.league import League
 from airhockey_marl.match import confident
 from airhockey_marl.table import Table
 from guidance.conditions import Condition
-from guidance.models import Models, load_league
+from guidance.models import Models
 from guidance.report import screen_table, write_report
 from guidance.study import Protocol, run_study
 from guidance.users import Population, sample_people
@@ -56,7 +57,7 @@ def main(cfg: DictConfig) -> None:
         protocol: Protocol = hydra.utils.instantiate(cfg.study)
         population: Population = hydra.utils.instantiate(cfg.users.population)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        opponent = confident(load_league(cfg.models.league).player(cfg.opponent))
+        opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
         people = sample_people(cfg.participants, cfg.seed, population)
         if cfg.users.variant not in Variant.__members__:
             raise ValueError(f"users.variant = {cfg.users.variant!r} must be one of {', '.join(Variant.__members__)}")

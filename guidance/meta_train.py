@@ -24,12 +24,13 @@ from tqdm import tqdm
 
 from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import sha256, write_json
+from airhockey_marl.league import League
 from airhockey_marl.match import confident
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.table import Table, reach
 from guidance.demonstrations import collect
 from guidance.maml import forward_each, parameters
-from guidance.models import load_league, save_user_model
+from guidance.models import save_user_model
 from guidance.user_model import Demonstrations, adapt_to_user, prediction_loss, train_maml, train_supervised
 from guidance.users import Population, sample_people, training_people
 
@@ -54,7 +55,7 @@ def main(cfg: DictConfig) -> None:
     with input_errors():
         check(cfg)
         population: Population = hydra.utils.instantiate(cfg.users.population)
-        opponent = confident(load_league(cfg.models.league).player(cfg.opponent))
+        opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
     torch.set_num_threads(cfg.threads)

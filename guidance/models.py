@@ -18,24 +18,9 @@ from guidance.maml import parameters
 from guidance.user_model import adapt_to_user
 
 
-def load_league(path: Path | str) -> League:
-    """Read a league of optimal action models, as `airhockey_marl.train` writes it.
-
-    Raises:
-        ValueError: the file is missing, broken, or not of the shape it says it is.
-    """
-    tensors, facts = load_tensors(path)
-    if "hidden" not in facts:
-        raise ValueError(f"{path} does not say its hidden sizes: not a file of this project")
-    try:
-        return League.from_stacked(GaussianPolicy(facts["hidden"]), tensors)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-
-
 def save_user_model(path: Path | str, model: GaussianPolicy, facts: dict) -> None:
     """Write a user prediction model; `facts` (any JSON) travel with it."""
-    save_tensors(path, model.state_dict(), {**facts, "hidden": list(model.hidden)})
+    save_tensors(path, model.state_dict(), {**facts, **model.facts})
 
 
 def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
@@ -45,10 +30,8 @@ def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
         ValueError: the file is missing, broken, or not of the shape it says it is.
     """
     tensors, facts = load_tensors(path)
-    if "hidden" not in facts:
-        raise ValueError(f"{path} does not say its hidden sizes: not a file of this project")
-    model = GaussianPolicy(facts["hidden"])
     try:
+        model = GaussianPolicy.from_facts(facts)
         require_weights(model, {name: tuple(tensor.shape) for name, tensor in tensors.items()})
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
@@ -85,7 +68,7 @@ class Models:
         if "inner_lr" not in facts:
             raise ValueError(f"{meta} was not meta-learned: it has no inner_lr")
         return cls(
-            optimal=load_league(league).player(generation),
+            optimal=League.load(league).player(generation),
             user=load_user_model(user)[0],
             meta=meta_model,
             inner_lr=facts["inner_lr"],

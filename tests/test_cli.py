@@ -10,14 +10,22 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
-from airhockey_marl import train
+from airhockey_marl import compare, league_report, train
 from airhockey_marl.files import load_tensors, save_tensors
 from airhockey_marl.policy import GaussianPolicy
 from guidance import evaluate, meta_train, report
 
 ROOT = Path(__file__).resolve().parents[1]
-COMMANDS = {"train": train, "meta_train": meta_train, "evaluate": evaluate, "report": report}
+COMMANDS = {
+    "train": train,
+    "league_report": league_report,
+    "compare": compare,
+    "meta_train": meta_train,
+    "evaluate": evaluate,
+    "report": report,
+}
 
 
 def start(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess:
@@ -50,7 +58,7 @@ def models(trained) -> list[str]:
 def test_train_writes_a_league_a_card_and_what_tensorboard_reads(trained):
     folder = trained["league"].parent
     tensors, facts = load_tensors(trained["league"])
-    assert facts == {"hidden": [64, 64]} and {len(tensor) for tensor in tensors.values()} == {3}
+    assert facts == {"hidden": [64, 64], "inputs": "paddle"} and {len(tensor) for tensor in tensors.values()} == {3}
     card = json.loads((folder / "card.json").read_text())
     assert card["generations"] == 3 and card["steps"] == 2000 and len(set(card["hashes"])) == 3
     assert list(folder.glob("tensorboard/events*"))
@@ -88,6 +96,31 @@ def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, env):
     first, second = (json.loads((tmp_path / name / "card.json").read_text()) for name in ("whole", "killed"))
     assert first["hashes"] == second["hashes"] and len(first["hashes"]) == 5
     assert first["win_rate_of_last_against"] == second["win_rate_of_last_against"]
+    matches, resumed_matches = ((tmp_path / name / "matches.csv").read_bytes() for name in ("whole", "killed"))
+    assert matches == resumed_matches
+    assert scalars(tmp_path / "whole") == scalars(killed)
+
+
+def scalars(run: Path) -> dict[str, list[tuple[int, float]]]:
+    """What TensorBoard shows of a run: steps and values by name, without the clock's."""
+    events = EventAccumulator(str(run / "tensorboard"), size_guidance={"scalars": 0}).Reload()
+    names = [name for name in events.Tags()["scalars"] if not name.startswith("speed/")]
+    return {name: [(event.step, event.value) for event in events.Scalars(name)] for name in names}
+
+
+def test_tensorboard_shows_each_generation_once(trained):
+    shown = scalars(trained["league"].parent)
+    assert {"update/kl", "update/std", "win_rate_against/0", "win_rate_against/striker"} <= set(shown)
+    assert all([step for step, _ in values] == [1000, 2000] for values in shown.values())
+
+
+def test_a_league_is_reported_whole(trained, tmp_path):
+    done = smoke("airhockey_marl.league_report", f"run={trained['league'].parent}", f"hydra.run.dir={tmp_path}")
+    assert "beats generation 0: wins" in done.stdout
+    for name in ("league_report.html", "league_report.json", "payoff.csv", "ratings.csv", "match.gif"):
+        assert (tmp_path / name).stat().st_size > 100
+    found = json.loads((tmp_path / "league_report.json").read_text())
+    assert [steps for steps, _ in found["best_response"]] == [1000]
 
 
 def test_meta_train_scores_itself_on_people_it_has_not_seen(trained):
@@ -159,8 +192,13 @@ def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
         ("train", "algorithm.max_kl=0", "max_kl = 0"),
         ("train", "env.backend=gym", "env.backend = 'gym'"),
         ("train", "league.sampler.delta=2", "delta = 2"),
-        ("train", "algorithm=dqn", "algorithm = dqn must be one of trpo"),
+        ("train", "league.anchors=[goalie]", "league.anchors: 'goalie' must be one of random, defender, striker"),
+        ("train", "league=nobody", "league = nobody must be one of delta_uniform, latest, mixture, pfsp, uniform"),
+        ("train", "algorithm.fisher_share=2", "algorithm.fisher_share = 2"),
+        ("train", "algorithm=dqn", "algorithm = dqn must be one of ppo, sac, trpo"),
         ("train", "hidden=[]", "hidden"),
+        ("train", "inputs=puck", "inputs = 'puck' must be 'table' or 'paddle'"),
+        ("train", "shaping.shot=far", "shaping.shot = far must be a number"),
         ("train", "resume=nowhere", "resume = nowhere is not the folder of a run"),
         ("meta_train", "maml.inner_lr=-0.1", "maml.inner_lr = -0.1"),
         ("meta_train", "demonstrations.games=1", "demonstrations.games = 1"),

@@ -8,10 +8,13 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = sorted(path for package in ("airhockey_marl", "guidance") for path in (ROOT / package).rglob("*.py"))
 LEAVES = {
-    "airhockey_marl": {"table", "policy", "trpo", "files", "cli"},
+    "airhockey_marl": {"table", "policy", "trpo", "samplers", "learner", "files", "cli"},
     "guidance": {"maml", "forces", "metrics", "stats"},
 }
-COMMANDS = {"airhockey_marl.train", "guidance.meta_train", "guidance.evaluate"}
+COMMANDS = {
+    *(f"airhockey_marl.{name}" for name in ("train", "league_report", "compare")),
+    *(f"guidance.{name}" for name in ("meta_train", "calibrate", "evaluate")),
+}
 
 
 def imports(path: Path) -> set[str]:

@@ -1,12 +1,12 @@
-"""Frozen generations, samplers, and opponents that share the tables."""
+"""Frozen generations, line-ups that share the tables, and matches."""
 
-import numpy as np
 import pytest
 import torch
 
-from airhockey_marl.league import DeltaUniform, Latest, League, weights_hash
+from airhockey_marl.anchors import ANCHORS
+from airhockey_marl.league import League, weights_hash
 from airhockey_marl.match import confident, play_match, sampled
-from airhockey_marl.policy import Critic, GaussianPolicy
+from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.trpo import TRPO
 from tests.test_trpo import SETTINGS, bandit
 
@@ -20,11 +20,11 @@ def league_of(generations: int) -> League:
 
 
 def test_training_never_moves_a_generation():
-    policy, critic, algorithm = GaussianPolicy([8]), Critic([8]), TRPO(**SETTINGS)
-    league, optimizer = League(GaussianPolicy([8])), algorithm.optimizer(critic)
+    policy = GaussianPolicy([8])
+    learner, league = TRPO(**SETTINGS).learner(policy, 0.9), League(GaussianPolicy([8]))
     league.add(policy)
     for _ in range(3):
-        algorithm.update(policy, critic, optimizer, bandit(policy, torch.Generator().manual_seed(0)))
+        learner.update(bandit(policy, torch.Generator().manual_seed(0)))
         league.add(policy)
     assert len(set(league.hashes)) == 4
     assert [weights_hash(snapshot) for snapshot in league.snapshots] == league.hashes
@@ -34,25 +34,26 @@ def test_training_never_moves_a_generation():
     assert weights_hash(league.generation(0)) == league.hashes[0]
 
 
-def test_samplers():
-    assert Latest().probabilities(4).tolist() == [0, 0, 0, 1]
-    assert DeltaUniform(0.0).probabilities(4).tolist() == [0.25] * 4
-    assert DeltaUniform(0.5).probabilities(4).tolist() == [0, 0, 0.5, 0.5]
-    assert DeltaUniform(0.9).probabilities(1).tolist() == [1.0]
-    with pytest.raises(ValueError, match="delta = 1"):
-        DeltaUniform(1.0)
-
-
-def test_opponents_answer_table_by_table_like_the_generations_they_are():
+@pytest.mark.parametrize("members", [[5, 0, 3, 3], ["striker", 2, "random", 4], ["defender"] * 4])
+def test_a_lineup_answers_table_by_table_like_the_members_it_has(members):
     league = league_of(6)
-    opponents = league.opponents(DeltaUniform(0.0), 4, np.random.default_rng(0))
+    lineup = league.lineup(members)
     observation = torch.randn(20, 1, 12)
-    mean, std = opponents(observation)
+    mean, std = lineup(observation)
     assert mean.shape == std.shape == (20, 1, 2)
     for table in range(20):
-        expected = league.player(opponents.generations[table // 5])(observation[table])
+        member = members[table // 5]
+        player = ANCHORS[member] if isinstance(member, str) else league.player(member)
+        expected = player(observation[table])
         assert torch.allclose(mean[table], expected[0], atol=1e-6)
         assert torch.allclose(std[table], expected[1], atol=1e-6)
+
+
+def test_members_that_are_not_there_are_named():
+    with pytest.raises(ValueError, match="anchor = 'goalie' must be one of random, defender, striker"):
+        league_of(2).lineup([0, "goalie"])
+    with pytest.raises(ValueError, match="generation = 7 must be below 2"):
+        league_of(2).lineup([7, "random"])
 
 
 def test_a_league_survives_being_written_down():

@@ -7,9 +7,10 @@ import torch
 
 from airhockey_marl.cli import ROOT
 from airhockey_marl.files import sha256
+from airhockey_marl.league import League
 from airhockey_marl.policy import GaussianPolicy
 from guidance.maml import forward_each
-from guidance.models import Models, load_league, load_user_model, save_user_model
+from guidance.models import Models, load_user_model, save_user_model
 
 LEAGUE = ROOT / "airhockey_marl" / "pretrained"
 USER = ROOT / "guidance" / "pretrained"
@@ -17,7 +18,7 @@ USER = ROOT / "guidance" / "pretrained"
 
 def test_the_shipped_league_is_the_one_on_its_card():
     card = json.loads((LEAGUE / "card.json").read_text())
-    league = load_league(LEAGUE / "league.safetensors")
+    league = League.load(LEAGUE / "league.safetensors")
     assert league.hashes == card["hashes"] and len(league) == card["generations"] == 101
     assert league.policy.hidden == (64, 64)
 
@@ -36,7 +37,7 @@ def test_user_models_survive_being_written_down(tmp_path):
     loaded, facts = load_user_model(tmp_path / "m.safetensors")
     seen = torch.randn(5, 12)
     assert all(torch.equal(a, b) for a, b in zip(model(seen), loaded(seen), strict=True))
-    assert facts == {"inner_lr": 0.1, "hidden": [8, 8]}
+    assert facts == {"inner_lr": 0.1, "hidden": [8, 8], "inputs": "table"}
 
 
 def test_adaptation_is_each_users_own_however_long_the_game():

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from airhockey_marl.policy import OPTIMAL_ACTION_HIDDEN, USER_PREDICTION_HIDDEN, GaussianPolicy
+from airhockey_marl.policy import OPTIMAL_ACTION_HIDDEN, USER_PREDICTION_HIDDEN, GaussianPolicy, Inputs
 
 
 @pytest.mark.parametrize(("hidden", "layers"), [(OPTIMAL_ACTION_HIDDEN, 2), (USER_PREDICTION_HIDDEN, 4)])
@@ -39,3 +39,20 @@ def test_many_models_at_once_are_each_model_by_itself():
 def test_no_layers_is_refused():
     with pytest.raises(ValueError, match="hidden"):
         GaussianPolicy([])
+
+
+@pytest.mark.parametrize("inputs", ["table", "paddle"])
+def test_what_a_model_sees_determines_the_observation(inputs):
+    observation = torch.randn(50, 12)
+    seen = Inputs(inputs)(observation)
+    matrix = Inputs(inputs)(torch.eye(12))
+    assert torch.allclose(seen, observation @ matrix, atol=1e-5) and torch.linalg.matrix_rank(matrix) == 12
+    assert GaussianPolicy.from_facts(GaussianPolicy([8], inputs).facts).inputs.origin == inputs
+
+
+def test_facts_that_do_not_describe_a_model_are_refused():
+    assert GaussianPolicy.from_facts({"hidden": [8]}).inputs.origin == "table"  # files older than the choice
+    with pytest.raises(ValueError, match="does not say its hidden sizes"):
+        GaussianPolicy.from_facts({"inputs": "paddle"})
+    with pytest.raises(ValueError, match="inputs = 'puck' must be 'table' or 'paddle'"):
+        GaussianPolicy.from_facts({"hidden": [8], "inputs": "puck"})

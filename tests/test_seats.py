@@ -9,7 +9,7 @@ from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.seats import LEARNER, OPPONENT, Seat, actor, learner_view
 from airhockey_marl.shaping import Shaping
 
-NO_SHAPING, SHAPING = Shaping(0.0, 0.0, 0.0), Shaping(0.3, 0.6, 0.6)
+NO_SHAPING, SHAPING = Shaping(0.0, 0.0, 0.0, 0.0), Shaping(0.3, 0.6, 0.4, 0.6)
 
 
 def collected(policy, opponent):

@@ -21,6 +21,7 @@ from torchrl.collectors import Collector
 
 from airhockey_marl.cli import CONF
 from airhockey_marl.env import SEATS, AirHockey, make_env
+from airhockey_marl.league import League
 from airhockey_marl.match import confident
 from airhockey_marl.policy import USER_PREDICTION_HIDDEN, GaussianPolicy
 from airhockey_marl.seats import LEARNER, OPPONENT, actor
@@ -29,10 +30,11 @@ from airhockey_marl.tables import Tables
 from airhockey_marl.train import train
 from guidance.evaluate import chosen_conditions
 from guidance.maml import MAML, forward, meta_loss, parameters
-from guidance.models import Models, load_league
+from guidance.models import Models
 from guidance.study import run_study
 from guidance.user_model import prediction_loss
 from guidance.users import sample_people
+from tests.benchmarks.peer_trpo import peer_frames
 
 
 def seconds(task: Callable[[], object], runs: int = 5) -> float:
@@ -93,15 +95,15 @@ def collected_frames(batch: int = 5000, tables: int = 250) -> float:
     return rate
 
 
-def trained_frames(generations: int = 2, steps: int = 100_000) -> float:
-    """End to end: collection, advantages, update, freezing, rating, writing."""
-    cfg = config("train", f"generations={generations}", f"steps_per_generation={steps}")
+def trained_frames(*overrides: str, generations: int = 2, steps: int = 100_000) -> float:
+    """End to end: collection, advantages, update, freezing, matches, writing."""
+    cfg = config("train", f"generations={generations}", f"steps_per_generation={steps}", *overrides)
     algorithm, sampler = (hydra.utils.instantiate(node) for node in (cfg.algorithm, cfg.league.sampler))
 
     def run() -> None:
         env = make_env("batched", cfg.env.tables, cfg.env.round_seconds, cfg.env.decision_ticks, cfg.seed)
         with tempfile.TemporaryDirectory() as folder:
-            train(cfg, Path(folder), env, GaussianPolicy(cfg.hidden), algorithm, sampler)
+            train(cfg, Path(folder), env, GaussianPolicy(cfg.hidden, cfg.inputs), algorithm, sampler)
 
     return generations * steps / seconds(run, runs=1)
 
@@ -139,7 +141,7 @@ def study() -> float:
         run_study,
         conditions=chosen_conditions(cfg),
         models=models,
-        opponent=confident(load_league(cfg.models.league).player(cfg.opponent)),
+        opponent=confident(League.load(cfg.models.league).player(cfg.opponent)),
         lookahead_seconds=cfg.guidance.lookahead,
         table=Table(),
         variant=cfg.users.variant,
@@ -156,11 +158,16 @@ def main() -> None:
     torch.set_num_threads(1)
     single, batched = pettingzoo_steps(), batched_ticks()
     maml, maml_looped = maml_steps()
+    ours, equal_work = trained_frames(), trained_frames("algorithm.fisher_share=1")
+    peer = peer_frames()
+    best = next(iter(peer.values())) if peer else None
     figures = {
         "env_pettingzoo_steps_per_s": round(single),
         "env_batched_steps_per_s": round(batched),
         "collector_frames_per_s": round(collected_frames()),
-        "trpo_frames_per_s": round(trained_frames()),
+        "trpo_frames_per_s": round(ours),
+        "trpo_over_sb3_contrib": best and round(ours / best, 2),
+        "trpo_over_sb3_contrib_with_all_states_in_the_fisher_matrix": best and round(equal_work / best, 2),
         "maml_ms_per_step": round(maml, 1),
         "maml_user_by_user_over_batched": round(maml_looped / maml, 2),
         "study_20_users_s": round(study(), 1),

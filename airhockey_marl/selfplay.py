@@ -1,0 +1,121 @@
+"""Where collector, algorithm and league meet: a learner plays a line-up of opponents, generation after generation."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictSequential
+from torchrl.collectors import Collector
+from torchrl.envs import EnvBase
+
+from airhockey_marl.league import League, Lineup, Member
+from airhockey_marl.learner import Learner
+from airhockey_marl.match import play_rounds, sampled
+from airhockey_marl.policy import GaussianPolicy
+from airhockey_marl.samplers import Sampler, Standing
+from airhockey_marl.seats import LEARNER, OPPONENT, Seat, actor, learner_view
+from airhockey_marl.shaping import Shaping
+
+
+class Practice:
+    """The tables at which one policy learns; the learner sits at the left of each, a line-up at the right.
+
+    Args:
+        batch: steps per update, over all tables.
+        gamma: discount per decision, for the shaping.
+    """
+
+    def __init__(self, env: EnvBase, policy: GaussianPolicy, batch: int, shaping: Shaping, gamma: float) -> None:
+        self.batch, self.shaping, self.gamma = batch, shaping, gamma
+        self.seat = Seat(policy)
+        self.collector = Collector(
+            env,
+            TensorDictSequential(actor(LEARNER, policy), actor(OPPONENT, self.seat)),
+            frames_per_batch=batch,
+            total_frames=-1,
+            auto_register_policy_transforms=False,
+        )
+        self.batches = iter(self.collector)
+
+    def generation(
+        self, learner: Learner, opponents: Lineup, steps: int, strength: float
+    ) -> tuple[dict[str, float], np.ndarray]:
+        """Learn from `steps` steps against these opponents, with shaping of this strength (0 to 1).
+
+        Returns:
+            The metrics of the updates, averaged; and the goals scored and conceded against each of the line-up (k, 2).
+        """
+        self.seat.policy = opponents
+        self.collector.reset()  # a generation depends on nothing but the league, the learner and the random numbers
+        history, goals = [], np.zeros((len(opponents.members), 2), dtype=np.int64)
+        for _ in range(steps // self.batch):
+            with torch.no_grad():
+                play = next(self.batches)
+                goals += goals_of(play, len(opponents.members))
+                view = learner_view(play, self.shaping, strength, self.gamma)
+            history.append(learner.update(view))
+        return {name: float(np.mean([metrics[name] for metrics in history])) for name in history[0]}, goals
+
+    def close(self) -> None:
+        """Stop the collector."""
+        self.collector.shutdown()
+
+
+def goals_of(play: TensorDictBase, members: int) -> np.ndarray:
+    """Goals scored and conceded (members, 2) by the learner, by blocks of tables: one for each of a line-up."""
+    reward = play["next", LEARNER, "reward"].reshape(members, -1)
+    return torch.stack([(reward > 0).sum(1), (reward < 0).sum(1)], dim=1).numpy()
+
+
+class Pool:
+    """Whom a learner can meet: the generations of a league and some anchors; and how it has fared against each.
+
+    Args:
+        memory: what is left of a goal's weight in the estimated win rates a generation later.
+    """
+
+    def __init__(self, league: League, anchors: Sequence[str], sampler: Sampler, memory: float) -> None:
+        self.league, self.anchors, self.sampler, self.memory = league, list(anchors), sampler, memory
+        self.goals: dict[Member, list[float]] = {}  # scored and conceded, fading
+
+    def standing(self) -> Standing:
+        """What a sampler may look at."""
+        goals = np.array([self.goals.get(member, [0.0, 0.0]) for member in self.members])
+        return Standing(len(self.league), len(self.anchors), (goals[:, 0] + 1) / (goals.sum(axis=1) + 2))
+
+    @property
+    def members(self) -> list[Member]:
+        return [*range(len(self.league)), *self.anchors]
+
+    def draw(self, number: int, rng: np.random.Generator) -> Lineup:
+        """A line-up of `number` members; one can be in it more than once."""
+        drawn = rng.choice(len(self.members), size=number, p=self.sampler.chances(self.standing()))
+        return self.league.lineup([self.members[index] for index in sorted(drawn)])
+
+    def remember(self, members: Sequence[Member], goals: np.ndarray) -> None:
+        """Take note of goals scored and conceded (k, 2) against each of a line-up."""
+        self.goals = {member: [self.memory * count for count in counts] for member, counts in self.goals.items()}
+        for member, counts in zip(members, goals.tolist(), strict=True):
+            before = self.goals.get(member, [0.0, 0.0])
+            self.goals[member] = [before[0] + counts[0], before[1] + counts[1]]
+
+
+def play_matches(
+    player: GaussianPolicy, opponents: Lineup, rounds: int, seed: int, decision_ticks: int
+) -> list[dict[str, Member | int]]:
+    """Matches of one policy against each of a line-up, all at once, each side sampling as in training.
+
+    Returns:
+        One row a match: opponent, won, lost, undecided.
+    """
+    generator = torch.Generator().manual_seed(seed)
+    matches = len(opponents.members)
+    left, right = sampled(player, generator), sampled(opponents, generator)
+    score = play_rounds(left, right, rounds * matches, 1, seed, decision_ticks=decision_ticks)
+    totals = score.reshape(matches, rounds, 3).sum(axis=1).tolist()
+    names = ("won", "lost", "undecided")
+    return [
+        {"opponent": opponent, **dict(zip(names, total, strict=True))}
+        for opponent, total in zip(opponents.members, totals, strict=True)
+    ]

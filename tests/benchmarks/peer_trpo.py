@@ -1,0 +1,154 @@
+"""The peer of our training: sb3-contrib's TRPO at the same game, with the settings of `conf/train.yaml`.
+
+It gets its best case: all tables are stepped by one compiled call in this process, the opponent is one frozen policy in
+one forward pass, Adam is fused, nothing is logged or written, and of several numbers of tables the fastest counts. Its
+policy has one STD for all states where ours has a head for them, which is a little less work. It does more where our
+`fisher_share` is below 1: it has no such setting.
+"""
+
+import statistics
+import time
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from gymnasium.spaces import Box
+from hydra import compose, initialize_config_dir
+from omegaconf import DictConfig
+from torch import nn
+
+from airhockey_marl.cli import CONF
+from airhockey_marl.env import ACTION_SIZE, OBSERVATION_SIZE, steps_of
+from airhockey_marl.match import Player, sampled
+from airhockey_marl.policy import GaussianPolicy, relu_layers
+from airhockey_marl.table import LEFT, RIGHT
+from airhockey_marl.tables import Tables
+
+try:
+    from sb3_contrib import TRPO
+    from sb3_contrib.trpo import MlpPolicy
+    from stable_baselines3.common.logger import Logger
+    from stable_baselines3.common.vec_env import VecEnv
+except ModuleNotFoundError:  # without the extra `bench` there is no peer; a broken installation still says so
+    TRPO, MlpPolicy, VecEnv = None, object, object
+
+
+class TablesVecEnv(VecEnv):
+    """n tables as Stable-Baselines3 wants them: the learner at the left of each, a new round where one is over."""
+
+    def __init__(self, n: int, round_seconds: float, decision_ticks: int, opponent: Player) -> None:
+        seen = Box(-np.inf, np.inf, (OBSERVATION_SIZE,), dtype=np.float32)
+        super().__init__(n, seen, Box(-1.0, 1.0, (ACTION_SIZE,), dtype=np.float32))
+        self.tables, self.opponent, self.decision_ticks = Tables(n), opponent, decision_ticks
+        self.max_steps = steps_of(round_seconds, self.tables.table, decision_ticks)
+        self._steps = np.zeros(n, dtype=np.int64)
+        self._actions = np.zeros((n, 2, ACTION_SIZE), dtype=np.float32)
+        self._theirs = np.empty((n, OBSERVATION_SIZE), dtype=np.float32)
+        self._nothing: list[dict[str, Any]] = [{}] * n  # SB3 reads a dict per table and step; it may be the same one
+
+    def reset(self) -> np.ndarray:
+        self.tables.new_rounds()
+        self._steps[:] = 0
+        return self._seen()
+
+    def step_async(self, actions: np.ndarray) -> None:
+        self._actions[:, LEFT] = actions
+        self._actions[:, RIGHT] = self.opponent(torch.from_numpy(self.tables.observe(RIGHT, self._theirs))).numpy()
+
+    def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
+        self.tables.step(self._actions, self.decision_ticks)
+        self._steps += 1
+        goals = self.tables.goals.astype(np.float32)  # a copy: SB3 adds the values of rounds that were cut off
+        over = (goals != 0) | (self._steps >= self.max_steps)
+        seen, infos = self._seen(), self._nothing
+        if over.any():
+            infos = infos.copy()
+            for i in np.flatnonzero(over):
+                infos[i] = {"terminal_observation": seen[i], "TimeLimit.truncated": goals[i] == 0}
+            self.tables.new_rounds(over)
+            self._steps[over] = 0
+            seen = self._seen()
+        return seen, goals, over, infos
+
+    def _seen(self) -> np.ndarray:  # always a new array: SB3 stores the one before only after the step
+        return self.tables.observe(LEFT, np.empty((self.num_envs, OBSERVATION_SIZE), dtype=np.float32))
+
+    def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
+        return [None] * self.num_envs  # only `render_mode` is asked for
+
+    def _unused(self, *_: Any, **__: Any) -> Any:
+        raise NotImplementedError
+
+    close = set_attr = env_method = env_is_wrapped = _unused  # learning calls none of them
+
+
+class PeerPolicy(MlpPolicy):
+    """SB3's policy with our activations: ReLU for the policy, tanh for the critic; SB3 has one setting for both."""
+
+    def _build_mlp_extractor(self) -> None:
+        super()._build_mlp_extractor()
+        self.mlp_extractor.value_net = nn.Sequential(*relu_layers(OBSERVATION_SIZE, self.net_arch["vf"], nn.Tanh))
+
+
+def peer(cfg: DictConfig, tables: int, batch: int, sub_sampling: int) -> "TRPO":
+    """The peer, with one update behind it: compiled, and its memory allocated."""
+    opponent = sampled(GaussianPolicy(cfg.hidden).requires_grad_(False), torch.Generator().manual_seed(cfg.seed))
+    networks = {"pi": list(cfg.hidden), "vf": list(cfg.algorithm.critic.hidden)}
+    model = TRPO(
+        PeerPolicy,
+        TablesVecEnv(tables, cfg.env.round_seconds, cfg.env.decision_ticks, opponent),
+        policy_kwargs={"net_arch": networks, "activation_fn": nn.ReLU, "optimizer_kwargs": {"fused": True}},
+        n_steps=batch // tables,
+        gamma=cfg.gamma,
+        gae_lambda=cfg.algorithm.gae_lambda,
+        target_kl=cfg.algorithm.max_kl,
+        cg_max_steps=cfg.algorithm.cg_steps,
+        cg_damping=cfg.algorithm.damping,
+        sub_sampling_factor=sub_sampling,
+        line_search_max_iter=cfg.algorithm.backtracks,
+        line_search_shrinking_factor=cfg.algorithm.shrink,
+        n_critic_updates=cfg.algorithm.critic_passes,
+        batch_size=cfg.algorithm.critic_minibatch,
+        learning_rate=cfg.algorithm.critic_lr,
+        seed=cfg.seed,
+        device="cpu",
+    )
+    model.set_logger(Logger(None, []))  # its own would make a folder
+    return model.learn(batch, log_interval=None)
+
+
+def peer_frames(
+    tables: Sequence[int] = (50, 250, 1000),
+    threads: Sequence[int] = (1,),
+    batch: int = 5000,
+    frames: int = 50_000,
+    runs: int = 5,
+    sub_sampling: int = 1,
+) -> dict[tuple[int, int], float] | None:
+    """Frames/s of `TRPO.learn`, collection and update, over `frames` with each number of tables and of torch's threads.
+
+    They take turns, `frames / runs` at a time, so that a busy moment does not fall on one of them; each has its median.
+    `sub_sampling` is SB3's: it leaves out states of the gradient and the line search too.
+
+    Returns:
+        By (tables, threads), the fastest first; None without sb3-contrib.
+    """
+    if TRPO is None:
+        return None
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("train", overrides=["algorithm=trpo"])
+    before, share = torch.get_num_threads(), frames // runs // batch * batch
+    times: dict[tuple[int, int], list[float]] = {(n, k): [] for n in tables for k in threads}
+    try:
+        torch.set_num_threads(1)
+        models = {key: peer(cfg, key[0], batch, sub_sampling) for key in times}
+        for key in list(times) * runs:
+            torch.set_num_threads(key[1])  # each time: numba's threads, when they start, change it
+            began = time.perf_counter()
+            models[key].learn(share, reset_num_timesteps=False, log_interval=None)
+            times[key].append(time.perf_counter() - began)
+    finally:
+        torch.set_num_threads(before)
+    rates = {key: share / statistics.median(took) for key, took in times.items()}
+    return dict(sorted(rates.items(), key=lambda item: -item[1]))
