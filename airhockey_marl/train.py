@@ -77,11 +77,10 @@ def main(cfg: DictConfig) -> None:
         algorithm: Algorithm = hydra.utils.instantiate(cfg.algorithm)
         sampler: Sampler = hydra.utils.instantiate(cfg.league.sampler)
         env = make_env(cfg.env.backend, cfg.env.tables, cfg.env.round_seconds, cfg.env.decision_ticks, cfg.seed)
-    folder, began = Path(cfg.resume or HydraConfig.get().runtime.output_dir), time.perf_counter()
-    league, matches = train(cfg, folder, env, policy, algorithm, sampler)
-    seconds = time.perf_counter() - began
+    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
+    league, seconds = train(cfg, folder, env, policy, algorithm, sampler)
     made_by = " ".join(["python -m airhockey_marl.train", *HydraConfig.get().overrides.task])
-    write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **card(cfg, league, matches)})
+    write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **card(cfg, league)})
 
 
 def config_of(run: Path) -> DictConfig:
@@ -99,7 +98,7 @@ def config_of(run: Path) -> DictConfig:
 
 def train(
     cfg: DictConfig, folder: Path, env: EnvBase, policy: GaussianPolicy, algorithm: Algorithm, sampler: Sampler
-) -> tuple[League, pd.DataFrame]:
+) -> tuple[League, float]:
     """Run the league: generation after generation learns against those before it, is frozen and written to `folder`.
 
     Args:
@@ -108,7 +107,7 @@ def train(
         policy: generation 0, trained in place.
 
     Returns:
-        The league, and the matches that its generations played.
+        The league, and the seconds it took, before it was resumed and after.
     """
     torch.set_num_threads(cfg.threads)
     learner = algorithm.learner(policy, cfg.gamma)
@@ -117,15 +116,16 @@ def train(
     practice = Practice(env, policy, cfg.batch, shaping, cfg.gamma)
     pool = Pool(League(GaussianPolicy(cfg.hidden, cfg.inputs)), cfg.league.anchors, sampler, cfg.league.memory)
     pool.league.add(policy)
-    done, matches = 0, []
+    done, matches, seconds = 0, [], 0.0
     if cfg.resume is not None:
         written = League.load(folder / LEAGUE)
         facts = checkpoint.load(folder / STATE)  # last: from here on the random numbers are those of the run
-        done, matches, pool.goals = facts["generation"], facts["matches"], dict(facts["goals"])
+        done, matches, seconds = facts["generation"], facts["matches"], facts["seconds"]
+        pool.goals = dict(facts["goals"])
         pool.league = written.until(done)
     # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
     board = SummaryWriter(str(folder / "tensorboard"), purge_step=done * cfg.steps_per_generation + 1)
-    began = time.perf_counter()
+    began = time.perf_counter() - seconds
     todo = range(done + 1, cfg.generations + 1)
     bar = tqdm(todo, desc="generation", initial=done, total=cfg.generations, file=sys.stderr, disable=None)
     for generation in bar:
@@ -144,24 +144,21 @@ def train(
         )
         matches += [{"generation": generation, **result} for result in results]
 
-        step = generation * cfg.steps_per_generation
+        step, seconds = generation * cfg.steps_per_generation, time.perf_counter() - began
         rates = {str(row["opponent"]): win_rate(row) for row in results}
-        for name, value in metrics.items():
-            board.add_scalar(f"update/{name}", value, step)
-        for name, value in rates.items():
-            board.add_scalar(f"win_rate_against/{name}", value, step)
-        board.add_scalar(
-            "speed/steps_per_s", (step - done * cfg.steps_per_generation) / (time.perf_counter() - began), step
-        )
+        scalars = {f"update/{name}": value for name, value in metrics.items()}
+        scalars |= {f"win_rate_against/{name}": value for name, value in rates.items()}
+        for name, value in {**scalars, "speed/steps_per_s": step / seconds}.items():
+            board.add_scalar(name, value, step)
         board.flush()
         pool.league.save(folder / LEAGUE)
         write_text(folder / MATCHES, pd.DataFrame(matches).to_csv(index=False))
-        facts = {"generation": generation, "matches": matches, "goals": list(pool.goals.items())}
+        facts = {"generation": generation, "matches": matches, "goals": list(pool.goals.items()), "seconds": seconds}
         checkpoint.save(folder / STATE, facts)
         bar.set_postfix({name: f"{rates[name]:.2f}" for name in ("0", *ANCHORS)})
     practice.close()
     board.close()
-    return pool.league, pd.DataFrame(matches)
+    return pool.league, time.perf_counter() - began
 
 
 def references(generation: int, every: int) -> list[Member]:
@@ -175,7 +172,7 @@ def win_rate(match: dict[str, Member | int]) -> float:
     return match["won"] / decided if decided else math.nan
 
 
-def card(cfg: DictConfig, league: League, matches: pd.DataFrame) -> dict:
+def card(cfg: DictConfig, league: League) -> dict:
     """The model card of a league: what it is, and how its last generation plays."""
     last = len(league) - 1
     others = [*sorted({0, last // 4, last // 2, 3 * last // 4} - {last}), *ANCHORS]
