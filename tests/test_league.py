@@ -65,6 +65,19 @@ def test_a_league_survives_being_written_down():
         League.from_stacked(GaussianPolicy([8, 8]), league.stacked())
 
 
+def test_a_league_is_read_from_its_file_and_cut_short(tmp_path):
+    league = League(GaussianPolicy([8], "paddle"))
+    for seed in range(3):
+        torch.manual_seed(seed)
+        league.add(GaussianPolicy([8], "paddle"))
+    league.save(tmp_path / "league.safetensors")
+    read = League.load(tmp_path / "league.safetensors")
+    assert read.hashes == league.hashes and read.policy.inputs.origin == "paddle"
+    assert read.until(1).hashes == league.hashes[:2]
+    observation = torch.randn(5, 12)
+    assert torch.equal(read.player(2)(observation)[0], league.player(2)(observation)[0])
+
+
 def test_a_generation_that_is_not_there_is_named():
     with pytest.raises(ValueError, match="generation = 3 must be below 3"):
         league_of(3).generation(3)

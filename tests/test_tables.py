@@ -1,5 +1,8 @@
 """Many tables: serves, the referee, and that a batch is so many single tables."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
 
@@ -51,3 +54,14 @@ def test_serves_differ_between_tables_and_go_to_both_sides():
     assert 0.4 < (puck[:, VX] > 0).mean() < 0.6
     speed = np.hypot(puck[:, VX], puck[:, VY])
     assert TABLE.serve_speed_low <= speed.min() and speed.max() <= TABLE.serve_speed_high
+
+
+def test_the_first_parallel_step_leaves_torchs_threads_alone():
+    """In a process of its own, where no step has been made: numba and torch must not share a thread pool."""
+    script = (
+        "import numpy as np, torch; from airhockey_marl.tables import Tables; torch.set_num_threads(1);"
+        f"n = {Tables.PARALLEL_FROM}; Tables(n).step(np.zeros((n, 2, 2), dtype=np.float32));"
+        "print(torch.get_num_threads())"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=True)
+    assert done.stdout.split() == ["1"]
