@@ -40,6 +40,7 @@ from airhockey_marl.selfplay import Pool, Practice, play_matches
 from airhockey_marl.shaping import Shaping
 
 LEAGUE, MATCHES, STATE = "league.safetensors", "matches.csv", "state.safetensors"
+CARD_ROUNDS = 25  # times as many rounds as in training, for the scores on the card
 SEEDS_APART = 100_000  # more than there are tables in a match, each of which has a seed of its own
 
 
@@ -176,7 +177,8 @@ def card(cfg: DictConfig, league: League) -> dict:
     """The model card of a league: what it is, and how its last generation plays."""
     last = len(league) - 1
     others = [*sorted({0, last // 4, last // 2, 3 * last // 4} - {last}), *ANCHORS]
-    results = play_matches(league.player(last), league.lineup(others), 1000, cfg.seed + 1, cfg.env.decision_ticks)
+    rounds = CARD_ROUNDS * cfg.league.match_rounds
+    results = play_matches(league.player(last), league.lineup(others), rounds, cfg.seed + 1, cfg.env.decision_ticks)
     return {
         "model": "optimal action model: a league of self-play generations (section 3.2.2)",
         "date": time.strftime("%Y-%m-%d"),
