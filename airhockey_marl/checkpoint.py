@@ -18,7 +18,6 @@ class Checkpoint:
 
     Attributes:
         parts: by name, the policy and whatever else is trained in place (`learner.Learner.parts`).
-        arrays: by name, what is counted, replaced in place.
         rng: draws the opponents.
         streams: the tables' random numbers, arrays of uint64; together with torch's own they are all there are.
     """

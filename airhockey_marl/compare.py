@@ -27,7 +27,7 @@ from torch import nn
 from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts
 from airhockey_marl.files import replacing
 from airhockey_marl.league import League
-from airhockey_marl.match import Result, play_rounds, sampled
+from airhockey_marl.match import Result, play_matches, sampled
 
 LEAGUE, CARD, CONFIG = "league.safetensors", "card.json", ".hydra/config.yaml"
 SCRIPTS, BEGINNING = ("defender", "striker"), "generation 0"
@@ -157,9 +157,7 @@ def compare(runs: Sequence[Run], rounds: int, seed: int) -> pd.DataFrame:
     return pd.DataFrame(rows).astype({"opponent_seed": "Int64"})
 
 
-def play(
-    left: nn.Module, right: nn.Module, matches: int, rounds: int, seed: int, decision_ticks: int
-) -> list[list[int]]:
+def play(left: nn.Module, right: nn.Module, matches: int, rounds: int, seed: int, decision_ticks: int) -> list[Result]:
     """Matches side by side, of `rounds` rounds each, between policies that sample their actions.
 
     Args:
@@ -167,14 +165,12 @@ def play(
             two models.
 
     Returns:
-        For each match the rounds that the left one won and lost, and those undecided.
+        For each match, how the left one fared.
     """
     generator = torch.Generator().manual_seed(seed)
     each = -(-rounds // TABLES)
-    tables = -(-rounds // each)
     players = (sampled(policy, generator) for policy in (left, right))
-    score = play_rounds(*players, matches * tables, each, seed, decision_ticks=decision_ticks)
-    return score.reshape(matches, tables, 3).sum(axis=1).tolist()
+    return play_matches(*players, matches, -(-rounds // each), each, seed, decision_ticks=decision_ticks)
 
 
 def win_rates(results: pd.DataFrame) -> pd.DataFrame:

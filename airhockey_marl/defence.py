@@ -15,7 +15,7 @@ import torch
 from numba import njit
 
 from airhockey_marl.env import ACTION_SIZE, OBSERVATION_SIZE, steps_of
-from airhockey_marl.match import Player
+from airhockey_marl.match import DECISION_TICKS, Player
 from airhockey_marl.table import LEFT, PUCK, RIGHT, TOUCHED_BY, Table, X, Y, tick
 from airhockey_marl.tables import Tables
 
@@ -82,7 +82,7 @@ def defence(
     rounds: int,
     seed: int,
     round_seconds: float = 30.0,
-    decision_ticks: int = 2,
+    decision_ticks: int = DECISION_TICKS,
     table: Table | None = None,
 ) -> Saves:
     """Let `player`, on the left, defend against `attacker`, and count.

@@ -79,6 +79,18 @@ def play_rounds(
     return score[:, [0, 2, 1]]
 
 
+def play_matches(
+    left: Player, right: Player, matches: int, tables: int, rounds: int, seed: int, **options: Any
+) -> list[Result]:
+    """Play several matches side by side, each at `tables` tables of its own with `rounds` rounds at each of them.
+
+    The players know by the table which match it is, as a line-up does; see `play_rounds` for the options.
+    """
+    score = play_rounds(left, right, matches * tables, rounds, seed, **options)
+    return [Result(*total) for total in score.reshape(matches, tables, 3).sum(axis=1).tolist()]
+
+
 def play_match(left: Player, right: Player, rounds: int, seed: int, **options: Any) -> Result:
     """Play `rounds` rounds side by side, one per table; see `play_rounds` for the options."""
-    return Result(*map(int, play_rounds(left, right, rounds, 1, seed, **options).sum(axis=0)))
+    (result,) = play_matches(left, right, 1, rounds, 1, seed, **options)
+    return result

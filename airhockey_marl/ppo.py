@@ -1,8 +1,8 @@
 """Proximal policy optimization (Schulman et al. 2017), for comparison with the paper's TRPO.
 
 One update: advantages from the critic (GAE), then some passes over the batch in minibatches that raise the clipped
-surrogate and fit the critic, both by one Adam. Loss and advantages are TorchRL's. The policy is any module that maps
-observations to (mean, STD) of a diagonal Gaussian.
+surrogate and fit the critic, both by one Adam. The loss is TorchRL's, the advantages are those of `trpo`.
+The policy is any module that maps observations to (mean, STD) of a diagonal Gaussian.
 """
 
 from collections.abc import Callable
@@ -14,9 +14,8 @@ from tensordict.nn import TensorDictModule
 from torch import nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
-from torchrl.objectives.value import GAE
 
-from airhockey_marl.trpo import kl_divergence
+from airhockey_marl.trpo import advantages, kl_divergence
 
 
 @dataclass(frozen=True)
@@ -64,11 +63,10 @@ class ClippedSurrogate:
     def __init__(self, settings: PPO, policy: nn.Module, gamma: float) -> None:
         self.settings, self.policy, self.critic = settings, policy, settings.critic()
         self.actor = gaussian_actor(policy)
-        value = TensorDictModule(self.critic, in_keys=["observation"], out_keys=["state_value"])
-        self.advantage = GAE(gamma=gamma, lmbda=settings.gae_lambda, value_network=value)
+        self.gamma = gamma
         self.loss = ClipPPOLoss(
             self.actor,
-            value,
+            TensorDictModule(self.critic, in_keys=["observation"], out_keys=["state_value"]),
             clip_epsilon=settings.clip,
             entropy_bonus=settings.entropy_coefficient > 0,
             entropy_coeff=settings.entropy_coefficient,
@@ -92,13 +90,13 @@ class ClippedSurrogate:
             What to log: kl of the old policy from the new one, mean STD before, critic loss (mean squared error over
             the epochs).
         """
+        advantage, target = advantages(self.critic, view, self.gamma, self.settings.gae_lambda)
+        batch = view.select("observation", "action").reshape(-1)
+        advantage, batch["value_target"] = advantage.flatten(0, 1), target.flatten(0, 1)
+        batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         with torch.no_grad():
-            batch = self.advantage(view).reshape(-1)
             mean, std = self.policy(batch["observation"])
             batch["action_log_prob"] = IndependentNormal(mean, std).log_prob(batch["action"])
-        advantage = batch["advantage"]
-        batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
-        batch = batch.select("observation", "action", "action_log_prob", "advantage", "value_target")
         losses = []
         for _ in range(self.settings.epochs):
             for index in torch.randperm(len(batch)).split(self.settings.minibatch):

@@ -17,7 +17,7 @@ from scipy import stats
 from scipy.sparse.csgraph import connected_components
 
 from airhockey_marl.league import League, Member
-from airhockey_marl.match import DECISION_TICKS, play_rounds, sampled
+from airhockey_marl.match import DECISION_TICKS, play_matches, sampled
 
 ELO = 400 / log(10)  # points per unit of log-odds
 PRIOR_ROUNDS = 1.0  # drawn against a player of no fixed strength; see `rate`
@@ -111,10 +111,10 @@ def play_pairs(
     for first in range(0, len(pairs), at_once):
         chunk = pairs[first : first + at_once]
         left, right = (sampled(league.lineup([pair[seat] for pair in chunk]), generator) for seat in (0, 1))
-        played = play_rounds(
-            left, right, len(chunk) * tables, rounds // tables, seed + first * tables, decision_ticks=decision_ticks
+        shared = (len(chunk), tables, rounds // tables)
+        score[first : first + len(chunk)] = play_matches(
+            left, right, *shared, seed + first * tables, decision_ticks=decision_ticks
         )
-        score[first : first + len(chunk)] = played.reshape(len(chunk), tables, 3).sum(axis=1)
         if progress:
             progress((first + len(chunk)) / len(pairs))
     return score

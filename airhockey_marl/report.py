@@ -24,10 +24,7 @@ from airhockey_marl.findings import ATTACKER, BELOW, KEEPER, LATER_THAN, Effort,
 from airhockey_marl.league import League
 from airhockey_marl.match import DECISION_TICKS, Result, sampled
 from airhockey_marl.precision import FAR, SAVE_SECONDS, STRIKE_SECONDS
-from airhockey_marl.ratings import (
-    Gain,
-    Share,
-)
+from airhockey_marl.ratings import Gain, Share
 from airhockey_marl.table import Table
 
 

@@ -11,7 +11,7 @@ from torchrl.envs import EnvBase
 
 from airhockey_marl.league import League, Lineup, Member
 from airhockey_marl.learner import Learner
-from airhockey_marl.match import play_rounds, sampled
+from airhockey_marl.match import Result, play_matches, sampled
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.samplers import Sampler, Standing
 from airhockey_marl.seats import LEARNER, OPPONENT, Seat, actor, learner_view
@@ -101,21 +101,11 @@ class Pool:
             self.goals[member] = [before[0] + counts[0], before[1] + counts[1]]
 
 
-def play_matches(
+def results_against(
     player: GaussianPolicy, opponents: Lineup, rounds: int, seed: int, decision_ticks: int
-) -> list[dict[str, Member | int]]:
-    """Matches of one policy against each of a line-up, all at once, each side sampling as in training.
-
-    Returns:
-        One row a match: opponent, won, lost, undecided.
-    """
+) -> dict[Member, Result]:
+    """A match of one policy against each of a line-up of different members, each side sampling as in training."""
     generator = torch.Generator().manual_seed(seed)
-    matches = len(opponents.members)
     left, right = sampled(player, generator), sampled(opponents, generator)
-    score = play_rounds(left, right, rounds * matches, 1, seed, decision_ticks=decision_ticks)
-    totals = score.reshape(matches, rounds, 3).sum(axis=1).tolist()
-    names = ("won", "lost", "undecided")
-    return [
-        {"opponent": opponent, **dict(zip(names, total, strict=True))}
-        for opponent, total in zip(opponents.members, totals, strict=True)
-    ]
+    results = play_matches(left, right, len(opponents.members), rounds, 1, seed, decision_ticks=decision_ticks)
+    return dict(zip(opponents.members, results, strict=True))

@@ -46,6 +46,11 @@ class Shaping:
         return gamma * self.potential(following) * ~terminated - self.potential(observation)
 
 
+def fading(generation: int, generations: int) -> float:
+    """The strength of shaping in a generation, counted from 1: from 1 to nothing over the first `generations`."""
+    return max(0.0, 1.0 - (generation - 1) / generations) if generations else 0.0
+
+
 def on_goal(observation: Tensor) -> Tensor:
     """How well the puck, left alone, is aimed at the goal at the end it moves to: (..., 1) for observations (..., 12).
 

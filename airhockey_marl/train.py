@@ -12,7 +12,6 @@ after each generation, whole, and so is state.safetensors, from which `resume` g
 TensorBoard's scalars end bit for bit as those of a run that was never stopped (but for `speed/`, which is the clock's).
 """
 
-import math
 import sys
 import time
 from pathlib import Path
@@ -36,8 +35,8 @@ from airhockey_marl.league import League, Member
 from airhockey_marl.learner import Algorithm
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.samplers import Sampler
-from airhockey_marl.selfplay import Pool, Practice, play_matches
-from airhockey_marl.shaping import Shaping
+from airhockey_marl.selfplay import Pool, Practice, results_against
+from airhockey_marl.shaping import Shaping, fading
 
 LEAGUE, MATCHES, STATE = "league.safetensors", "matches.csv", "state.safetensors"
 CARD_ROUNDS = 25  # times as many rounds as in training, for the scores on the card
@@ -131,22 +130,24 @@ def train(
     bar = tqdm(todo, desc="generation", initial=done, total=cfg.generations, file=sys.stderr, disable=None)
     for generation in bar:
         opponents = pool.draw(cfg.league.opponents, checkpoint.rng)
-        strength = max(0.0, 1.0 - (generation - 1) / cfg.shaping.generations) if cfg.shaping.generations else 0.0
+        strength = fading(generation, cfg.shaping.generations)
         metrics, goals = practice.generation(learner, opponents, cfg.steps_per_generation, strength)
         pool.remember(opponents.members, goals)
         pool.league.add(policy)
         others = references(generation, cfg.league.match_every)
-        results = play_matches(
+        results = results_against(
             policy,
             pool.league.lineup(others),
             cfg.league.match_rounds,
             cfg.seed + SEEDS_APART * generation,
             cfg.env.decision_ticks,
         )
-        matches += [{"generation": generation, **result} for result in results]
+        matches += [
+            {"generation": generation, "opponent": opponent, **result._asdict()} for opponent, result in results.items()
+        ]
 
         step, seconds = generation * cfg.steps_per_generation, time.perf_counter() - began
-        rates = {str(row["opponent"]): win_rate(row) for row in results}
+        rates = {str(opponent): result.win_rate for opponent, result in results.items()}
         scalars = {f"update/{name}": value for name, value in metrics.items()}
         scalars |= {f"win_rate_against/{name}": value for name, value in rates.items()}
         for name, value in {**scalars, "speed/steps_per_s": step / seconds}.items():
@@ -167,25 +168,19 @@ def references(generation: int, every: int) -> list[Member]:
     return [*range(0, generation, every), *ANCHORS]
 
 
-def win_rate(match: dict[str, Member | int]) -> float:
-    """Share of decided rounds that were won; not a number if none was decided."""
-    decided = match["won"] + match["lost"]
-    return match["won"] / decided if decided else math.nan
-
-
 def card(cfg: DictConfig, league: League) -> dict:
     """The model card of a league: what it is, and how its last generation plays."""
     last = len(league) - 1
     others = [*sorted({0, last // 4, last // 2, 3 * last // 4} - {last}), *ANCHORS]
     rounds = CARD_ROUNDS * cfg.league.match_rounds
-    results = play_matches(league.player(last), league.lineup(others), rounds, cfg.seed + 1, cfg.env.decision_ticks)
+    results = results_against(league.player(last), league.lineup(others), rounds, cfg.seed + 1, cfg.env.decision_ticks)
     return {
         "model": "optimal action model: a league of self-play generations (section 3.2.2)",
         "date": time.strftime("%Y-%m-%d"),
         "seed": cfg.seed,
         "steps": cfg.generations * cfg.steps_per_generation,
         "generations": len(league),
-        "win_rate_of_last_against": {str(row["opponent"]): round(win_rate(row), 3) for row in results},
+        "win_rate_of_last_against": {str(opponent): round(result.win_rate, 3) for opponent, result in results.items()},
         "hashes": league.hashes,
         "config": OmegaConf.to_container(cfg),
     }

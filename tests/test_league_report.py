@@ -25,7 +25,7 @@ from airhockey_marl.league import League
 from airhockey_marl.match import Result
 from airhockey_marl.ratings import MATCHES, Gain, Misfit, Share
 from airhockey_marl.report import draw, log_to_tensorboard, page, summary, write_report
-from tests.test_ratings import league_of
+from tests.test_league import league_of
 
 EFFORT = Effort(every=5, rounds=2, match_rounds=4, save_tables=3, std_tables=4, std_seconds=8.0)
 FILES = ["league_report.html", "league_report.json", "match.gif", "payoff.csv", "payoff.png", "precision.png"]

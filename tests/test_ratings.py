@@ -3,12 +3,9 @@
 import numpy as np
 import pandas as pd
 import pytest
-import torch
 from scipy.optimize import minimize
 
 from airhockey_marl import ratings
-from airhockey_marl.league import League
-from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.ratings import (
     ELO,
     MATCHES,
@@ -22,14 +19,7 @@ from airhockey_marl.ratings import (
     read_matches,
     win_rates,
 )
-
-
-def league_of(generations: int) -> League:
-    league = League(GaussianPolicy([8]))
-    for seed in range(generations):
-        torch.manual_seed(seed)
-        league.add(GaussianPolicy([8]))
-    return league
+from tests.test_league import league_of
 
 
 def tournament(elo: np.ndarray, rounds: int, rng: np.random.Generator, met: np.ndarray | None = None) -> np.ndarray:

@@ -12,16 +12,9 @@ from airhockey_marl.exploit import best_response
 from airhockey_marl.league import League
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.samplers import Anchors, Prioritized
-from airhockey_marl.selfplay import Pool, Practice, goals_of, play_matches
+from airhockey_marl.selfplay import Pool, Practice, goals_of, results_against
 from airhockey_marl.shaping import Shaping
-
-
-def league_of(generations: int) -> League:
-    league = League(GaussianPolicy([8]))
-    for seed in range(generations):
-        torch.manual_seed(seed)
-        league.add(GaussianPolicy([8]))
-    return league
+from tests.test_league import league_of
 
 
 class Onlooker:
@@ -73,11 +66,11 @@ def test_a_pool_remembers_how_the_learner_fared_and_forgets_slowly():
 def test_matches_count_every_round_and_follow_from_the_seed():
     league = league_of(2)
     lineup = league.lineup([1, "striker", "random"])
-    rows = play_matches(league.player(0), lineup, 10, seed=3, decision_ticks=2)
-    assert [row["opponent"] for row in rows] == [1, "striker", "random"]
-    assert all(row["won"] + row["lost"] + row["undecided"] == 10 for row in rows)
-    assert rows == play_matches(league.player(0), lineup, 10, seed=3, decision_ticks=2)
-    assert rows[1]["lost"] > rows[1]["won"]
+    results = results_against(league.player(0), lineup, 10, seed=3, decision_ticks=2)
+    assert list(results) == [1, "striker", "random"]
+    assert all(result.won + result.lost + result.undecided == 10 for result in results.values())
+    assert results == results_against(league.player(0), lineup, 10, seed=3, decision_ticks=2)
+    assert results["striker"].lost > results["striker"].won
 
 
 @pytest.mark.parametrize("algorithm", ["trpo", "ppo", "sac"])
