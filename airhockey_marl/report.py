@@ -5,7 +5,6 @@
 
 import base64
 import io
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -14,7 +13,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import pandas as pd
 import torch
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from tensorboard.compat.proto.summary_pb2 import Summary
 from torch.utils.tensorboard import SummaryWriter
 
@@ -23,6 +21,7 @@ from airhockey_marl.files import replacing, write_json, write_text
 from airhockey_marl.findings import ATTACKER, BELOW, KEEPER, LATER_THAN, Effort, Findings, measure
 from airhockey_marl.league import League
 from airhockey_marl.match import DECISION_TICKS, Result, sampled
+from airhockey_marl.page import number, template
 from airhockey_marl.precision import FAR, SAVE_SECONDS, STRIKE_SECONDS
 from airhockey_marl.ratings import Gain, Share
 from airhockey_marl.table import Table
@@ -177,23 +176,6 @@ def page(found: Findings, pictures: Mapping[str, bytes], card: Mapping[str, Any]
     Args:
         pictures: by file name.
     """
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
-        "number": _number,
-        "percent": _percent,
-        "share": _share,
-        "points": _points,
-        "against_far": _against_far,
-        "p": _p,
-        "named": figures.named,
-        "pretty": lambda value: json.dumps(value, indent=2, default=str),
-    }
     rated, place = found.ratings.set_index("member"), found.members.index(found.last)
     learned = found.ratings[[not isinstance(member, str) for member in found.members]]
     in_matrix = {
@@ -201,7 +183,15 @@ def page(found: Findings, pictures: Mapping[str, bytes], card: Mapping[str, Any]
         for member, (won, lost, _) in zip(found.members, found.score[place], strict=True)
         if member != found.last
     }
-    return environment.get_template("report_template.html").render(
+    return template(
+        Path(__file__).parent,
+        percent=_percent,
+        share=_share,
+        points=_points,
+        against_far=_against_far,
+        p=_p,
+        named=figures.named,
+    ).render(
         found=found,
         last=Gain(*rated.loc[found.last]),
         best=int(learned["member"][learned["rating"].idxmax()]),
@@ -226,11 +216,6 @@ def page(found: Findings, pictures: Mapping[str, bytes], card: Mapping[str, Any]
     )
 
 
-def _number(value: float, digits: int = 2) -> str:
-    """With a true minus; a dash for what is not a number."""
-    return "–" if pd.isna(value) else f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0: no −0.00
-
-
 def _percent(value: float, digits: int = 0) -> str:
     return "–" if pd.isna(value) else f"{100 * value:.{digits}f} %"
 
@@ -244,15 +229,15 @@ def _share(share: Share) -> str:
 
 def _against_far(row: Any) -> str:
     """A row of `precision.precision` beside that of a puck far away."""
-    ends = f"[{_number(row.difference_low, 3)}, {_number(row.difference_high, 3)}]"
-    far = _number(row.std - row.difference, 3)
-    return f"STD {_number(row.std, 3)} against {far}, a difference of {_number(row.difference, 3)} {ends}"
+    ends = f"[{number(row.difference_low, 3)}, {number(row.difference_high, 3)}]"
+    far = number(row.std - row.difference, 3)
+    return f"STD {number(row.std, 3)} against {far}, a difference of {number(row.difference, 3)} {ends}"
 
 
 def _points(gain: Gain) -> str:
     """Elo points above or below something, without a sign, and the interval in the same direction."""
     side, ends = ("above", gain[1:]) if gain.value >= 0 else ("below", (-gain.high, -gain.low))
-    return f"{_number(abs(gain.value), 0)} [{', '.join(_number(end, 0) for end in ends)}] points {side}"
+    return f"{number(abs(gain.value), 0)} [{', '.join(number(end, 0) for end in ends)}] points {side}"
 
 
 def _p(value: float) -> str:

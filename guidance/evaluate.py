@@ -52,7 +52,7 @@ def main(cfg: DictConfig) -> None:
     with input_errors():
         require_counts(cfg, "participants", "threads")
         require_counts(cfg, "seed", least=0)
-        require_numbers(cfg, "guidance.lookahead", above=-1e-9, at_most=1.0)
+        require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
         conditions = chosen_conditions(cfg)
         protocol: Protocol = hydra.utils.instantiate(cfg.study)
         population: Population = hydra.utils.instantiate(cfg.users.population)

@@ -16,11 +16,11 @@ import matplotlib
 import numpy as np
 import pandas as pd
 from hydra.core.hydra_config import HydraConfig
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from omegaconf import DictConfig
 
 from airhockey_marl.cli import InputError, command
 from airhockey_marl.files import replacing, sha256, write_text
+from airhockey_marl.page import template
 from guidance.answers import QUESTIONS, answers
 from guidance.figures import figure6
 from guidance.stats import (
@@ -170,19 +170,7 @@ def _page(trials: pd.DataFrame, tests: pd.DataFrame, svg: bytes, manifest: Mappi
     paper = comparison.assign(tested=True, greater=comparison["paper_greater"])
     by_chance, rerun = reference_points()
 
-    environment = Environment(
-        loader=FileSystemLoader(Path(__file__).parent),
-        autoescape=True,
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
-        "p": _p,
-        "number": _number,
-        "pretty": lambda value: json.dumps(value, indent=2, default=str),
-    }
-    return environment.get_template("report_template.html").render(
+    return template(Path(__file__).parent, p=_p).render(
         participants=trials["user"].nunique(),
         games=len(trials),
         conditions=CONDITIONS,
@@ -240,10 +228,6 @@ def _weights(trials: pd.DataFrame) -> list[dict[str, Any]]:
         mean, sd = (trials[f"{row['weight']}_{statistic}"] for statistic in ("mean", "sd"))
         row |= {"games": mean.count(), "our_mean": mean.mean(), "our_sd": sd.mean()}
     return rows
-
-
-def _number(value: float, digits: int = 2) -> str:
-    return "–" if pd.isna(value) else f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0: no −0.00
 
 
 def _p(value: float) -> str:
