@@ -48,4 +48,4 @@ def test_every_key_of_a_primary_yaml_is_explained_above_it(name):
 
 def test_the_yaml_of_the_population_is_the_population():
     cfg = OmegaConf.load(CONF / "users" / "default.yaml")
-    assert hydra.utils.instantiate(cfg.population) == Population()
+    assert hydra.utils.instantiate(cfg.population) == Population.usual()

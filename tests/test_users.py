@@ -15,9 +15,10 @@ from guidance.users.anchors import ANCHORS, anchor_scales, play_anchor
 from guidance.users.arm import ARM, HAND_REACH, SUBSTEPS, begin_plan, hardest_acceleration, move_arm, rest
 from guidance.users.geometry import shot_direction, to_hand, to_table
 from guidance.users.intention import Intention, choose
+from guidance.users.laws import LogNormal
 from guidance.users.mind import MIND
 from guidance.users.perception import LOOK_AHEAD, LOOK_AHEAD_STEP, foresee, standard_normal
-from guidance.users.population import TRAITS, LogNormal
+from guidance.users.population import TRAITS
 from guidance.users.rating import RATINGS, SIGNALS, appraisals
 
 TABLE = Table()
@@ -111,7 +112,7 @@ def test_what_happens_now_moves_the_hand_only_after_the_delay_of_sight():
 def test_the_arm_yields_to_a_force_by_its_stiffness():
     person, mind, arm = sample_people(1, 2)[0], np.zeros(1, MIND)[0], np.zeros(1, ARM)[0]
     for stiffness in (person["stiffness"], 2 * person["stiffness"]):
-        rest(arm)
+        rest(arm, person)
         for _ in range(2000):
             move_arm(arm, person, mind, stiffness, 0.0, 0.0, 1.0, -2.0, 0.004)
         assert arm["hand_x"] == pytest.approx(1.0 / stiffness, rel=1e-3)
@@ -120,8 +121,8 @@ def test_the_arm_yields_to_a_force_by_its_stiffness():
 
 def test_the_arm_follows_a_reach_with_one_peak_of_speed():
     person, mind, arm = sample_people(1, 2)[0], np.zeros(1, MIND)[0], np.zeros(1, ARM)[0]
-    rest(arm)
-    begin_plan(arm, 0.06, -0.03, 0.0, 0.0, 0.4, person["muscle_lag"])
+    rest(arm, person)
+    begin_plan(arm, person, 0.06, -0.03, 0.0, 0.0, 0.4)
     speed = []
     for _ in range(250):
         move_arm(arm, person, mind, person["stiffness"], 0.0, 0.0, 0.0, 0.0, 0.004)
@@ -193,8 +194,8 @@ def test_two_people_play_air_hockey():
 
 def test_skill_wins():
     wins = np.zeros(2)
-    good = sample_people(24, 1, Population(skill_mean=1.5, skill_sd=0.1))
-    poor = sample_people(24, 2, Population(skill_mean=-1.5, skill_sd=0.1))
+    good = sample_people(24, 1, Population.usual(skill_mean=1.5, skill_sd=0.1))
+    poor = sample_people(24, 2, Population.usual(skill_mean=-1.5, skill_sd=0.1))
     for left, right, good_scores in ((good, poor, 1), (poor, good, -1)):
         opponent = Users(right, personal_streams(24, 10))
         tables, left_users = Tables(24), Users(left, personal_streams(24, 9))
@@ -287,7 +288,7 @@ def test_normals_are_normal():
 
 
 def test_the_population_is_the_one_specified():
-    people, population = sample_people(2000, 11), Population()
+    people, population = sample_people(2000, 11), Population.usual()
     degrees = ("heading_noise", "bounce_noise")
     for item in fields(Population):
         law = getattr(population, item.name)
@@ -316,16 +317,26 @@ def test_nine_training_people_whom_no_study_meets():
     assert not np.intersect1d(trainers["stiffness"], studied["stiffness"]).size
     assert np.array_equal(sample_people(5, 0), studied[:5])
     assert not np.array_equal(training_people(1), trainers)
-    flat = sample_people(50, 0, Population(trait_concentration=np.inf), archetype="wall")
-    assert np.all(flat["aggression"] == Population().archetypes["wall"].aggression)
+    flat = sample_people(50, 0, Population.usual(trait_concentration=np.inf), archetype="wall")
+    assert np.all(flat["aggression"] == Population.usual().archetypes["wall"][0])
 
 
-def test_the_yaml_holds_the_numbers_of_the_population():
-    conf = dict(CONF["population"])
-    assert conf.pop("_target_") == "guidance.users.population.Population"
-    assert conf.pop("_convert_") == "all"
-    assert set(conf) == {item.name for item in fields(Population)}
-    assert Population(**conf) == Population()
+def test_every_parameter_says_its_unit_and_where_it_comes_from():
+    text = (Path(__file__).parent.parent / "conf/users/default.yaml").read_text()
+    section, seen = "", set()
+    for line in text[text.index("population:") : text.index("scales:")].splitlines():
+        if line.startswith("  # "):
+            section = line
+        name, colon, rest = line.strip().partition(":")
+        if colon and line.startswith("  ") and name.isidentifier() and not name.startswith("_"):
+            seen.add(name)
+            if line.startswith("   "):  # of a table, explained at its head
+                continue
+            if name != "worth":  # a table, explained above it
+                assert "#" in rest, f"{name} has no comment"
+                assert any(tag in rest + section for tag in ("[R]", "[M]", "[D]", "[A]")) or "skill" in name, name
+    assert {item.name for item in fields(Population)} <= seen
+    assert set(CONF["population"]) - {"_target_", "_convert_"} == {item.name for item in fields(Population)}
 
 
 @pytest.fixture(scope="module")
@@ -382,11 +393,11 @@ def test_intentions_are_named_and_used():
         (lambda: sample_people(0, 0), "people = 0 must be at least 1"),
         (lambda: sample_people(1, -1), "seed = -1"),
         (lambda: sample_people(1, 0, archetype="goalie"), "archetype = 'goalie' must be one of striker"),
-        (lambda: Population(sight_delay=(0.5, 0.1, 0.1, 0.2, 0.0)), "users.sight_delay"),
-        (lambda: Population(resistance=(2.0, 1.0, 1.0)), "users.resistance"),
-        (lambda: Population(device_mass=-1.0), "users.device_mass = -1.0"),
-        (lambda: Population(noise_correlation=1.5), "users.noise_correlation = 1.5"),
-        (lambda: Population(archetypes={"odd": (0.5, 0.5)}), "users.archetypes.odd"),
+        (lambda: Population.usual(sight_delay=(0.5, 0.1, 0.1, 0.2, 0.0)), "users.sight_delay"),
+        (lambda: Population.usual(resistance=(2.0, 1.0, 1.0)), "users.resistance"),
+        (lambda: Population.usual(device_mass=-1.0), "users.device_mass = -1.0"),
+        (lambda: Population.usual(noise_correlation=1.5), "users.noise_correlation = 1.5"),
+        (lambda: Population.usual(archetypes={"odd": (0.5, 0.5)}), "users.archetypes.odd"),
         (lambda: Users(np.zeros(3), personal_streams(3, 0)), "people of shape"),
         (lambda: Users(sample_people(3, 0), personal_streams(2, 0)), "streams uint64"),
         (lambda: Users(sample_people(1, 0), personal_streams(1, 0), variant="V9"), "variant = 'V9' must be one of V0"),

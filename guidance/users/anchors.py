@@ -14,8 +14,8 @@ import numpy as np
 from airhockey_marl.table import LEFT, RIGHT, Table
 from airhockey_marl.tables import Tables
 from guidance.users.people import Users
-from guidance.users.population import personal_streams
 from guidance.users.rating import SIGNALS
+from guidance.users.sampling import personal_streams
 
 ANCHORS = ("oracle", "random", "anti")
 ANCHOR_STIFFNESS = 50.0  # N/m

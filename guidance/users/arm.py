@@ -12,11 +12,7 @@ from guidance.users.perception import standard_normal
 
 HAND_REACH = 0.075  # m of hand travel for |action| = 1, the workspace of an Omega.7: beyond is a stop
 SUBSTEPS = 5  # of the arm in one tick
-NOISE_HELD = 0.05  # s
-CARRY_THROUGH = 0.05  # s that a hand which ends its plan in motion goes on, through the contact, [A]
-SLOW_DOWN = 0.06  # s, time constant of its slowing down afterwards, [A]
-SHORTEST_PLAN = 0.04  # s
-STIFFEST = 4.0  # times the relaxed stiffness
+SHORTEST_PLAN = 0.04  # s, of a cubic; two ticks
 
 # An arm: where the hand is and what moves it. `ref` is the plan as executed, that is with motor noise.
 _PAIRS = ("hand", "hand_v", "muscle", "ref", "start_v", "lead_in", "bend", "twist", "end_v")
@@ -27,13 +23,13 @@ ARM = np.dtype(
 
 
 @njit(cache=True)
-def rest(arm):
+def rest(arm, person):
     """The hand still at the centre, and nothing planned."""
     arm.hand_x = arm.hand_y = arm.hand_v_x = arm.hand_v_y = 0.0
     arm.muscle_x = arm.muscle_y = arm.effort = 0.0
     arm.end_v_x = arm.end_v_y = 0.0
     arm.plan_seconds = arm.plan_age = 0.0
-    begin_plan(arm, 0.0, 0.0, 0.0, 0.0, 0.1, 0.0)
+    begin_plan(arm, person, 0.0, 0.0, 0.0, 0.0, 0.1)
 
 
 @njit(cache=True)
@@ -54,13 +50,14 @@ def cubic(away_x, away_y, v_x, v_y, end_v_x, end_v_y, seconds):
 
 
 @njit(cache=True)
-def start_of_plan(arm, lag):
-    """Where a plan made now can begin: x, y, vx, vy of the hand in `lag` seconds, until then moved as planned before.
+def start_of_plan(arm, person):
+    """Where a plan made now can begin: x, y, vx, vy of the hand once the muscles follow, until then moved as planned.
 
-    What is commanded now moves the hand only once the muscles follow; a practised person plans from there.
+    What is commanded now moves the hand only after their lag; a practised person plans from there.
     """
-    now_x, now_y = _planned_velocity(arm, arm.plan_age)
-    then_x, then_y = _planned_velocity(arm, arm.plan_age + lag)
+    lag = person.muscle_lag
+    now_x, now_y = _planned_velocity(arm, person, arm.plan_age)
+    then_x, then_y = _planned_velocity(arm, person, arm.plan_age + lag)
     v_x, v_y = arm.hand_v_x + then_x - now_x, arm.hand_v_y + then_y - now_y
     x = arm.hand_x + 0.5 * lag * (arm.hand_v_x + v_x)
     y = arm.hand_y + 0.5 * lag * (arm.hand_v_y + v_y)
@@ -68,11 +65,12 @@ def start_of_plan(arm, lag):
 
 
 @njit(cache=True)
-def begin_plan(arm, goal_x, goal_y, end_v_x, end_v_y, seconds, lag):
-    """Plan to be at `goal` in `seconds` at velocity `end_v`, from where the hand is after the muscles' `lag`."""
-    x, y, v_x, v_y = start_of_plan(arm, lag)
-    arm.lead_in_x = (v_x - arm.hand_v_x) / lag if lag > 0.0 else 0.0
-    arm.lead_in_y = (v_y - arm.hand_v_y) / lag if lag > 0.0 else 0.0
+def begin_plan(arm, person, goal_x, goal_y, end_v_x, end_v_y, seconds):
+    """Plan to be at `goal` in `seconds` at velocity `end_v`, from where the hand is once the muscles follow."""
+    lag = person.muscle_lag
+    x, y, v_x, v_y = start_of_plan(arm, person)
+    arm.lead_in_x = (v_x - arm.hand_v_x) / lag
+    arm.lead_in_y = (v_y - arm.hand_v_y) / lag
     seconds = max(seconds - lag, SHORTEST_PLAN)
     arm.bend_x, arm.bend_y, arm.twist_x, arm.twist_y = cubic(
         goal_x - x, goal_y - y, v_x, v_y, end_v_x, end_v_y, seconds
@@ -92,7 +90,7 @@ def hardest_acceleration(away_x, away_y, v_x, v_y, end_v_x, end_v_y, seconds):
 
 
 @njit(cache=True)
-def _planned_velocity(arm, age):
+def _planned_velocity(arm, person, age):
     if age < 0.0:
         return arm.start_v_x + arm.lead_in_x * age, arm.start_v_y + arm.lead_in_y * age
     if age < arm.plan_seconds:
@@ -100,27 +98,27 @@ def _planned_velocity(arm, age):
             arm.start_v_x + 2.0 * arm.bend_x * age + 3.0 * arm.twist_x * age * age,
             arm.start_v_y + 2.0 * arm.bend_y * age + 3.0 * arm.twist_y * age * age,
         )
-    left = exp(-max(age - arm.plan_seconds - CARRY_THROUGH, 0.0) / SLOW_DOWN)
+    left = exp(-max(age - arm.plan_seconds - person.carry_through, 0.0) / person.slow_down)
     return arm.end_v_x * left, arm.end_v_y * left
 
 
 @njit(cache=True)
-def _planned_acceleration(arm, age):
+def _planned_acceleration(arm, person, age):
     if age < 0.0:
         return arm.lead_in_x, arm.lead_in_y
     if age < arm.plan_seconds:
         return 2.0 * arm.bend_x + 6.0 * arm.twist_x * age, 2.0 * arm.bend_y + 6.0 * arm.twist_y * age
-    late = age - arm.plan_seconds - CARRY_THROUGH
-    left = -exp(-late / SLOW_DOWN) / SLOW_DOWN if late > 0.0 else 0.0
+    late = age - arm.plan_seconds - person.carry_through
+    left = -exp(-late / person.slow_down) / person.slow_down if late > 0.0 else 0.0
     return arm.end_v_x * left, arm.end_v_y * left
 
 
 @njit(cache=True)
 def draw_motor_noise(person, mind, dt, rng, index):
-    """Hold the motor noise of this person for 50 ms, then draw it anew: shares of speed along and across the motion."""
+    """Hold the motor noise for a while, then draw it anew: shares of speed along and across the motion."""
     mind.noise_left -= dt
     if mind.noise_left < 0.5 * dt:
-        mind.noise_left += NOISE_HELD
+        mind.noise_left += person.noise_held
         mind.noise_along = person.noise_along * standard_normal(rng, index)
         mind.noise_across = person.noise_across * standard_normal(rng, index)
 
@@ -142,12 +140,12 @@ def move_arm(arm, person, mind, stiffness, push_x, push_y, force_x, force_y, dt)
     mass = person.arm_mass + person.device_mass
     damping = person.damping_time * sqrt(person.stiffness * stiffness)
     arm.plan_age += dt
-    plan_x, plan_y = _planned_velocity(arm, arm.plan_age)
+    plan_x, plan_y = _planned_velocity(arm, person, arm.plan_age)
     exec_x = plan_x + plan_x * mind.noise_along - plan_y * mind.noise_across
     exec_y = plan_y + plan_y * mind.noise_along + plan_x * mind.noise_across
     arm.ref_x += exec_x * dt
     arm.ref_y += exec_y * dt
-    want_x, want_y = _planned_acceleration(arm, arm.plan_age + person.muscle_lag)
+    want_x, want_y = _planned_acceleration(arm, person, arm.plan_age + person.muscle_lag)
     gain = 1.0 - exp(-dt / person.muscle_lag)
     arm.muscle_x += gain * (mass * want_x - arm.muscle_x)
     arm.muscle_y += gain * (mass * want_y - arm.muscle_y)

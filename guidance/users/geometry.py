@@ -14,19 +14,6 @@ from guidance.users.perception import LOOK_AHEAD, LOOK_AHEAD_STEP
 
 DIRECT, BANK_LEFT, BANK_RIGHT = 0, 1, -1  # which side wall a shot takes; left is y > 0
 
-# How people play; all [A].
-GUARD_NEAREST, GUARD_RANGE = 0.13, 0.30  # m: home is this far before the own goal, for guard depth 0 and 1 more
-PRESS_AT = 0.16  # m before the half-way line
-SMASH_SLOWEST, SMASH_RANGE = 1.2, 1.8  # m/s of the puck after a smash, for power 0 and 1 more
-CONTROL_SPEED = 0.45  # m/s of the puck after a soft touch
-FASTEST_STRIKE = 2.4  # m/s of the paddle: what the table lets it do, less a reserve
-SWING = 0.14  # s from the end of the back-swing to the contact
-AT_ONCE = 0.45  # s, a later contact begins with a back-swing
-SOONEST_STRIKE = 0.10  # s
-QUICKEST_MOVE, SLOWEST_MOVE = 0.12, 0.60  # s
-GOAL_MARGIN = 0.06  # m: a block goes this far beyond the goal's posts
-CLEARANCE = 0.05  # m between paddle and puck when going around it
-
 
 @njit(cache=True, inline="always")
 def clamp(value, low, high):
@@ -54,16 +41,16 @@ def to_table(hand_x, hand_y, table):
 
 @njit(cache=True)
 def move_seconds(person, hand_x, hand_y, x, y, table):
-    """How long the hand takes to a place that does not run away: sqrt(6 D / a_pref), 0.12 to 0.6 s."""
+    """How long the hand takes to a place that does not run away: sqrt(6 D / a_pref), within bounds."""
     to_x, to_y = to_hand(x, y, table)
     distance = hypot(to_x - hand_x, to_y - hand_y)
-    return clamp(sqrt(6.0 * distance / person.preferred_acceleration), QUICKEST_MOVE, SLOWEST_MOVE)
+    return clamp(sqrt(6.0 * distance / person.preferred_acceleration), person.quickest_move, person.slowest_move)
 
 
 @njit(cache=True, inline="always")
 def guard_x(person, table):
     """The x of this person's home and line of defence."""
-    return -table.length / 2 + GUARD_NEAREST + GUARD_RANGE * person.guard_depth
+    return -table.length / 2 + person.guard_nearest + person.guard_range * person.guard_depth
 
 
 @njit(cache=True)
@@ -83,9 +70,9 @@ def shot_direction(x, y, wall, aim_y, table):
 
 
 @njit(cache=True)
-def go_around(paddle_x, paddle_y, puck_x, puck_y, table):
+def go_around(person, paddle_x, paddle_y, puck_x, puck_y, table):
     """The next place on the way back behind a puck that has passed, without knocking it into the own goal."""
-    clear = table.puck_radius + table.paddle_radius + CLEARANCE
+    clear = table.puck_radius + table.paddle_radius + person.clearance
     back = max(puck_x - 1.6 * clear, -table.length / 2 + table.paddle_radius)
     if paddle_x < puck_x - clear:
         return back, clamp(puck_y, -table.goal / 2, table.goal / 2)
@@ -120,20 +107,20 @@ def reaches_cleanly(from_x, from_y, from_vx, from_vy, x, y, vx, vy, seconds, lag
 def unhurried(person, arm, x, y, path, table):
     """A move to a place that does not run away, around a puck that would be knocked toward the own goal on the way."""
     lag = person.muscle_lag
-    hand_x, hand_y, hand_v_x, hand_v_y = start_of_plan(arm, lag)
+    hand_x, hand_y, hand_v_x, hand_v_y = start_of_plan(arm, person)
     gain_x, gain_y = to_hand(1.0 - table.length / 4, 1.0, table)
     from_x, from_y = to_table(hand_x, hand_y, table)
     seconds = move_seconds(person, hand_x, hand_y, x, y, table)
     if -table.length / 2 < path[0, 0] < from_x and not reaches_cleanly(
         from_x, from_y, hand_v_x / gain_x, hand_v_y / gain_y, x, y, 0.0, 0.0, seconds, lag, path, table
     ):
-        x, y = go_around(from_x, from_y, path[0, 0], path[0, 1], table)
+        x, y = go_around(person, from_x, from_y, path[0, 0], path[0, 1], table)
         seconds = move_seconds(person, hand_x, hand_y, x, y, table)
     return x, y, 0.0, 0.0, seconds + lag
 
 
 @njit(cache=True, inline="always")
-def contact_geometry(x, y, vx, vy, speed, wall, aim_y, table):
+def contact_geometry(person, x, y, vx, vy, speed, wall, aim_y, table):
     """How to hit a puck at (x, y) so that it leaves at `speed` toward the goal: the unit normal and the speed along it.
 
     To change the puck's velocity from v to w, the paddle has to touch it along n = (w - v) / |w - v| while moving
@@ -144,7 +131,7 @@ def contact_geometry(x, y, vx, vy, speed, wall, aim_y, table):
     change = max(hypot(normal_x, normal_y), 1e-6)
     normal_x, normal_y = normal_x / change, normal_y / change
     along = vx * normal_x + vy * normal_y + change / (1.0 + table.paddle_restitution)
-    return normal_x, normal_y, clamp(along, -FASTEST_STRIKE, FASTEST_STRIKE)
+    return normal_x, normal_y, clamp(along, -person.fastest_strike, person.fastest_strike)
 
 
 @njit(cache=True)
@@ -171,7 +158,7 @@ def strike(person, arm, path, speed, wall, aim_y, earliest, effort, table):
     gain_x, gain_y = to_hand(1.0 - table.length / 4, 1.0, table)
     limit = effort * person.preferred_acceleration
     lag = person.muscle_lag
-    hand_x, hand_y, hand_v_x, hand_v_y = start_of_plan(arm, lag)
+    hand_x, hand_y, hand_v_x, hand_v_y = start_of_plan(arm, person)
     from_x, from_y = to_table(hand_x, hand_y, table)
     from_vx, from_vy = hand_v_x / gain_x, hand_v_y / gain_y
     for row in range(LOOK_AHEAD):
@@ -179,7 +166,7 @@ def strike(person, arm, path, speed, wall, aim_y, earliest, effort, table):
         puck_x, puck_y = path[row, 0], path[row, 1]
         if seconds < earliest or not -table.length / 2 <= puck_x <= 0.0:
             continue
-        nx, ny, along = contact_geometry(puck_x, puck_y, path[row, 2], path[row, 3], speed, wall, aim_y, table)
+        nx, ny, along = contact_geometry(person, puck_x, puck_y, path[row, 2], path[row, 3], speed, wall, aim_y, table)
         # A paddle in motion trails the hand by its braking distance; the hand leads by as much.
         lead = along * abs(along) / (2.0 * table.paddle_acceleration)
         x, y = puck_x - (touching - lead) * nx, puck_y - (touching - lead) * ny
@@ -189,7 +176,7 @@ def strike(person, arm, path, speed, wall, aim_y, earliest, effort, table):
         end_v_x, end_v_y = along * nx * gain_x, along * ny * gain_y
         away_x, away_y = goal_x - hand_x, goal_y - hand_y
         way = max(seconds - lag, SHORTEST_PLAN)
-        if seconds <= AT_ONCE and (
+        if seconds <= person.at_once and (
             hardest_acceleration(away_x, away_y, hand_v_x, hand_v_y, end_v_x, end_v_y, way) <= limit
             and reaches_cleanly(
                 from_x,
@@ -207,13 +194,13 @@ def strike(person, arm, path, speed, wall, aim_y, earliest, effort, table):
             )
         ):
             return (x, y, along * nx, along * ny, seconds), seconds
-        run_up = 0.5 * SWING * max(along, 0.0) + 0.01
+        run_up = 0.5 * person.swing * max(along, 0.0) + 0.01
         x, y = clamp(x - run_up * nx, -outer, -inner), clamp(y - run_up * ny, -side, side)
-        if move_seconds(person, arm.hand_x, arm.hand_y, x, y, table) + SWING <= seconds:
-            way = max(seconds - SWING - lag, SHORTEST_PLAN)
+        if move_seconds(person, arm.hand_x, arm.hand_y, x, y, table) + person.swing <= seconds:
+            way = max(seconds - person.swing - lag, SHORTEST_PLAN)
             if not reaches_cleanly(from_x, from_y, from_vx, from_vy, x, y, 0.0, 0.0, way, lag, path, table):
-                x, y = go_around(from_x, from_y, path[0, 0], path[0, 1], table)
-            return (x, y, 0.0, 0.0, seconds - SWING), seconds
+                x, y = go_around(person, from_x, from_y, path[0, 0], path[0, 1], table)
+            return (x, y, 0.0, 0.0, seconds - person.swing), seconds
     return (0.0, 0.0, 0.0, 0.0, 0.0), np.inf
 
 
@@ -225,7 +212,7 @@ def block(person, path, table):
         x, y, and the seconds until the puck is there; infinite if it does not come.
     """
     line = guard_x(person, table)
-    reach_y = table.goal / 2 + GOAL_MARGIN
+    reach_y = table.goal / 2 + person.goal_margin
     touching = table.puck_radius + table.paddle_radius
     x, y = min(line, max(path[0, 0] - 1.5 * touching, -table.length / 2 + table.paddle_radius)), path[0, 1]
     seconds = np.inf

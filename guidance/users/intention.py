@@ -14,18 +14,30 @@ from airhockey_marl.tables import random_unit
 from guidance.users.geometry import (
     BANK_LEFT,
     BANK_RIGHT,
-    CONTROL_SPEED,
     DIRECT,
-    SMASH_RANGE,
-    SMASH_SLOWEST,
-    SOONEST_STRIKE,
+    clamp,
     strike,
 )
 from guidance.users.perception import PUCK
+from guidance.users.population import WORTHS
 
 INTENTIONS = 9
-STAYS = 0.15  # worth of going on with the present intention
 IMPOSSIBLE = -1e9
+
+# Rows of `PERSON.worth`: the intention, and what is going on.
+(
+    AWAY_WAIT,
+    AWAY_SHADOW,
+    AWAY_PRESS,
+    BEHIND_RECOVER,
+    BEHIND_BLOCK,
+    NEAR_CONTROL,
+    NEAR_CONTROL_AT_REST,
+    NEAR_SMASH,
+    NEAR_BANK,
+    NEAR_BLOCK,
+    NEAR_SHADOW,
+) = range(len(WORTHS))
 
 
 class Intention(IntEnum):
@@ -52,18 +64,18 @@ class Situation(IntEnum):
 
 
 @njit(cache=True)
-def situation_of(percept, delay, paddle_x, table):
-    """The `Situation` at a glance: the percept of `delay` seconds ago moved on straight.
+def situation_of(person, percept, paddle_x, table):
+    """The `Situation` at a glance: the percept, as old as sight is late, moved on straight.
 
     `paddle_x` is where the own paddle is now, in m; its owner feels that.
     """
     vx = percept[PUCK + 2]
-    x = percept[PUCK] + vx * delay
+    x = percept[PUCK] + vx * person.sight_delay
     if x > 0.0:
-        return Situation.COMING if vx < -0.1 and x + 1.0 * vx < 0.0 else Situation.AWAY
+        return Situation.COMING if vx < -person.still and x + vx * person.soon < 0.0 else Situation.AWAY
     if x < paddle_x and x > -table.length / 2:
         return Situation.BEHIND
-    return Situation.AWAY if vx > 0.35 and x - paddle_x > 0.1 else Situation.OURS
+    return Situation.AWAY if vx > person.leaving and x - paddle_x > person.out_of_reach else Situation.OURS
 
 
 @njit(cache=True)
@@ -75,17 +87,35 @@ def wall_of(intention):
 
 
 @njit(cache=True)
-def aim_y(mind, other_y, table):
+def aim_y(person, mind, other_y, table):
     """Where in the opponent's goal a shot is meant to go, m: anywhere, but rather past the opponent's paddle."""
     mouth = table.goal / 2 - table.puck_radius
-    past = min(max(-other_y / table.goal, -0.5), 0.5)
-    return mouth * min(max(0.6 * mind.aim + past, -0.9), 0.9)
+    past = clamp(-other_y / table.goal, -person.aim_past, person.aim_past)
+    return mouth * clamp(person.aim_spread * mind.aim + past, -person.aim_widest, person.aim_widest)
 
 
 @njit(cache=True)
 def strike_speed(person, intention):
     """How fast the puck is meant to leave, m/s."""
-    return CONTROL_SPEED if intention == Intention.CONTROL else SMASH_SLOWEST + SMASH_RANGE * person.power
+    return (
+        person.control_speed
+        if intention == Intention.CONTROL
+        else person.smash_slowest + person.smash_range * person.power
+    )
+
+
+@njit(cache=True)
+def worth_of(person, row, open_straight):
+    """What one row of the table `WORTHS` comes to for this person."""
+    weight = person.worth[row]
+    return (
+        weight[0]
+        + weight[1] * person.aggression
+        + weight[2] * person.press
+        + weight[3] * person.bank
+        + weight[4] * person.shadow
+        + weight[5] * open_straight
+    )
 
 
 @njit(cache=True)
@@ -93,35 +123,35 @@ def appraise(person, mind, arm, percept, path, situation, threatened, table, wor
     """Write what each intention is worth now into `worth` (INTENTIONS,); the impossible ones are worth nothing."""
     worth[:] = IMPOSSIBLE
     if situation == Situation.AWAY:
-        worth[Intention.WAIT] = 1.0 - person.shadow
-        worth[Intention.SHADOW] = person.shadow
-        worth[Intention.PRESS] = 1.5 * person.press - 0.3
+        worth[Intention.WAIT] = worth_of(person, AWAY_WAIT, 0.0)
+        worth[Intention.SHADOW] = worth_of(person, AWAY_SHADOW, 0.0)
+        worth[Intention.PRESS] = worth_of(person, AWAY_PRESS, 0.0)
     elif situation == Situation.BEHIND:
-        worth[Intention.RECOVER] = 1.0
+        worth[Intention.RECOVER] = worth_of(person, BEHIND_RECOVER, 0.0)
         if threatened:
-            worth[Intention.BLOCK] = 0.9
+            worth[Intention.BLOCK] = worth_of(person, BEHIND_BLOCK, 0.0)
     else:
-        caution = 1.0 - person.aggression
-        aim = aim_y(mind, percept[5], table)
+        aim = aim_y(person, mind, percept[5], table)
         open_straight = min(abs(aim - percept[5]) / table.goal, 1.0)  # the opponent's paddle is not in the way
+        moving = hypot(path[0, 2], path[0, 3]) > person.control_speed
         for intention in range(Intention.CONTROL, Intention.RECOVER):
+            speed, wall = strike_speed(person, intention), wall_of(intention)
             _, contact = strike(
-                person, arm, path, strike_speed(person, intention), wall_of(intention), aim, SOONEST_STRIKE, 1.2, table
+                person, arm, path, speed, wall, aim, person.soonest_strike, person.effort_to_begin, table
             )
             if np.isinf(contact):
                 continue
             if intention == Intention.CONTROL:
-                worth[intention] = 0.7 * caution if hypot(path[0, 2], path[0, 3]) > CONTROL_SPEED else -0.2
-            elif intention == Intention.SMASH:
-                worth[intention] = 0.3 + 0.5 * person.aggression + 0.4 * open_straight - 0.6 * person.bank
+                row = NEAR_CONTROL if moving else NEAR_CONTROL_AT_REST
             else:
-                worth[intention] = 0.1 + 0.5 * person.aggression + 0.7 * person.bank - 0.2 * open_straight
+                row = NEAR_SMASH if intention == Intention.SMASH else NEAR_BANK
+            worth[intention] = worth_of(person, row, open_straight)
         if threatened:
-            worth[Intention.BLOCK] = 0.4 + 0.7 * caution
+            worth[Intention.BLOCK] = worth_of(person, NEAR_BLOCK, open_straight)
         else:
-            worth[Intention.SHADOW] = 0.2 * caution
+            worth[Intention.SHADOW] = worth_of(person, NEAR_SHADOW, open_straight)
     if worth[mind.intention] > IMPOSSIBLE:
-        worth[mind.intention] += STAYS
+        worth[mind.intention] += person.staying
 
 
 @njit(cache=True)

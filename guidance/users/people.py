@@ -9,8 +9,8 @@ from guidance.users.arm import ARM
 from guidance.users.mind import MIND
 from guidance.users.player import begin_round, play
 from guidance.users.population import PERSON
-from guidance.users.rating import HINDSIGHT, SIGNALS, TALLY, answers, appraisals, signals
-from guidance.users.reaction import BELIEVED_AHEAD, TRUST_AT_FIRST, Variant
+from guidance.users.rating import SIGNALS, TALLY, answers, appraisals, signals
+from guidance.users.reaction import Variant
 
 
 class Users:
@@ -42,7 +42,11 @@ class Users:
             raise ValueError(f"variant = {variant!r} must be one of {', '.join(Variant.__members__)}")
         self.n, self.people, self.table = len(people), people.copy(), check_table(table or Table())
         self.variant, self.streams = Variant[variant], streams.copy()
-        longest = max(people["sight_delay"].max(), people["touch_delay"].max() + BELIEVED_AHEAD, HINDSIGHT)
+        longest = max(
+            people["sight_delay"].max(),
+            (people["touch_delay"] + people["believed_ahead"]).max(),
+            people["hindsight_after"].max(),
+        )
         ring = ceil(longest / self.table.tick) + 2
         self._minds, self._arms = np.zeros(self.n, MIND), np.zeros((self.n, 2), ARM)
         self._tallies = np.zeros(self.n, TALLY)
@@ -54,14 +58,14 @@ class Users:
     def new_round(self, which: np.ndarray) -> None:
         """Those of the boolean mask `which` (n,) begin a round: the hand at the centre, nothing seen or felt yet."""
         for index in np.flatnonzero(self._mask(which)):
-            begin_round(self._minds[index], self._arms[index, 0], self._arms[index, 1])
+            begin_round(self.people[index], self._minds[index], self._arms[index, 0], self._arms[index, 1])
             self._tallies[index]["expected_x"] = self._tallies[index]["expected_y"] = 0.0
             self._action[index] = 0.0
 
     def new_game(self, which: np.ndarray) -> None:
         """As `new_round`, and trust, co-contraction and what the ratings rest on are forgotten as well."""
         which = self._mask(which)
-        self._minds["trust"][which] = TRUST_AT_FIRST
+        self._minds["trust"][which] = self.people["trust_at_first"][which]
         self._minds["co_contraction"][which] = 0.0
         self._tallies[which] = np.zeros((), TALLY)
         self.new_round(which)

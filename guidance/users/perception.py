@@ -11,10 +11,6 @@ from airhockey_marl.tables import random_unit
 
 OWN, OTHER, PUCK = 0, 4, 8  # first column of each body in the 12 numbers of a state
 
-DEGREES_PER_METRE = 13.5  # of the table on a 24-inch screen that shows its length, seen from 0.6 m, [D]
-SLOW = 0.3  # deg/s, below it Weber's law for speed ends (the constant of the noise model), [R] Moon
-NOISE_MEMORY = 0.5  # correlation of a misjudgement with that of the plan before
-
 LOOK_AHEAD_STEP = 0.025  # s
 LOOK_AHEAD = 49  # rows of a path: now, and 1.2 s ahead
 
@@ -27,12 +23,13 @@ def standard_normal(rng, index):
 
 
 @njit(cache=True)
-def misjudge(mind, rng, index):
+def misjudge(person, mind, rng, index):
     """Move this plan's errors of seeing one step on: AR(1) with unit variance, three draws."""
-    fresh = sqrt(1.0 - NOISE_MEMORY * NOISE_MEMORY)
-    mind.speed_error = NOISE_MEMORY * mind.speed_error + fresh * standard_normal(rng, index)
-    mind.heading_error = NOISE_MEMORY * mind.heading_error + fresh * standard_normal(rng, index)
-    mind.bounce_error = NOISE_MEMORY * mind.bounce_error + fresh * standard_normal(rng, index)
+    kept = person.noise_memory
+    fresh = sqrt(1.0 - kept * kept)
+    mind.speed_error = kept * mind.speed_error + fresh * standard_normal(rng, index)
+    mind.heading_error = kept * mind.heading_error + fresh * standard_normal(rng, index)
+    mind.bounce_error = kept * mind.bounce_error + fresh * standard_normal(rng, index)
 
 
 @njit(cache=True, inline="always")
@@ -46,8 +43,8 @@ def perceived_velocity(person, mind, vx, vy):
     speed = hypot(vx, vy)
     if speed == 0.0:
         return 0.0, 0.0
-    judged = log1p(speed * DEGREES_PER_METRE / SLOW) + person.speed_noise * mind.speed_error
-    ratio = max(SLOW * expm1(judged) / DEGREES_PER_METRE, 0.0) / speed
+    judged = log1p(speed * person.degrees_per_metre / person.weber_floor) + person.speed_noise * mind.speed_error
+    ratio = max(person.weber_floor * expm1(judged) / person.degrees_per_metre, 0.0) / speed
     return _turn(vx * ratio, vy * ratio, person.heading_noise * mind.heading_error)
 
 

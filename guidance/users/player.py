@@ -10,10 +10,8 @@ import numpy as np
 from numba import njit
 
 from airhockey_marl.tables import random_unit
-from guidance.users.arm import CARRY_THROUGH, HAND_REACH, SUBSTEPS, begin_plan, draw_motor_noise, move_arm, rest
+from guidance.users.arm import HAND_REACH, SUBSTEPS, begin_plan, draw_motor_noise, move_arm, rest
 from guidance.users.geometry import (
-    PRESS_AT,
-    SOONEST_STRIKE,
     block,
     clamp,
     go_around,
@@ -35,15 +33,8 @@ from guidance.users.intention import (
     wall_of,
 )
 from guidance.users.perception import LOOK_AHEAD, PUCK, foresee, misjudge, standard_normal
-from guidance.users.rating import HINDSIGHT, tally_force, tally_hindsight
-from guidance.users.reaction import BELIEVED_AHEAD, FELT_FROM, Variant, answer, learn_trust, shared_goal, stiffness_now
-
-STRAY = 0.04  # m of the table: home is not exactly in the middle, [A]
-FOLLOW = 0.5  # share of the puck's sideways motion that a shadowing paddle makes, [A]
-IDLE = 0.6  # s, mean time on top of the dwell until someone who only waits reconsiders, [A]
-KICK = 0.4  # m/s: a change of the puck's velocity that is noticed as a contact or a bounce, [A]
-STRIKE_OVER = 0.04  # s after the planned contact, [A]
-STARTS_AT, GOES_ON_AT = 1.2, 1.8  # preferred accelerations that a strike may need to be begun, and to be gone on with
+from guidance.users.rating import tally_force, tally_hindsight
+from guidance.users.reaction import Variant, answer, learn_trust, shared_goal, stiffness_now
 
 
 @njit(cache=True, inline="always")
@@ -52,10 +43,10 @@ def _ticks(seconds, tick):
 
 
 @njit(cache=True)
-def begin_round(mind, arm, shadow):
+def begin_round(person, mind, arm, shadow):
     """The hand at rest at the centre, nothing seen or wanted; trust and co-contraction stay."""
-    rest(arm)
-    rest(shadow)
+    rest(arm, person)
+    rest(shadow, person)
     mind.age = 0
     mind.intention = mind.next_intention = Intention.WAIT
     mind.switch_left = -1.0
@@ -79,7 +70,7 @@ def decide(person, mind, arm, percept, situation, table, path, worth, rng, index
     mind.threatened = foresee(person, mind, percept, person.sight_delay, table, path) >= 0
     appraise(person, mind, arm, percept, path, situation, mind.threatened, table, worth)
     drawn = choose(worth, person.choice_temperature, rng, index)
-    waiting = -log(1.0 - random_unit(rng, index)) * IDLE
+    waiting = -log(1.0 - random_unit(rng, index)) * person.idle
     mind.dwell_left = person.dwell + waiting if situation == Situation.AWAY else np.inf
     if drawn == mind.intention:
         mind.switch_left = -1.0
@@ -95,19 +86,19 @@ def find_move(person, mind, arm, percept, path, table):
     intention = mind.intention
     home = guard_x(person, table)
     puck_x, puck_y = path[0, 0], path[0, 1]
-    x, y = home, STRAY * mind.aim
+    x, y = home, person.stray * mind.aim
     if intention == Intention.SHADOW:
-        y = clamp(FOLLOW * puck_y + STRAY * mind.aim, -table.goal / 2, table.goal / 2)
+        y = clamp(person.follow * puck_y + person.stray * mind.aim, -table.goal / 2, table.goal / 2)
     elif intention == Intention.PRESS:
-        x = -PRESS_AT
-        y = puck_y * (table.length / 2 + x) / max(table.length / 2 + puck_x, 0.5) + STRAY * mind.aim
+        x = -person.press_at
+        y = puck_y * (table.length / 2 + x) / max(table.length / 2 + puck_x, 0.5) + person.stray * mind.aim
     elif intention == Intention.BLOCK:
         x, y, comes = block(person, path, table)
         x, y, vx, vy, seconds = unhurried(person, arm, x, y, path, table)
         return (x, y, vx, vy, min(seconds, comes)), np.inf
     elif intention == Intention.RECOVER:
         paddle_x, paddle_y = to_table(arm.hand_x, arm.hand_y, table)
-        x, y = go_around(paddle_x, paddle_y, puck_x, puck_y, table)
+        x, y = go_around(person, paddle_x, paddle_y, puck_x, puck_y, table)
     elif intention != Intention.WAIT:
         goes_on = mind.strike_left < np.inf
         move, contact = strike(
@@ -116,9 +107,11 @@ def find_move(person, mind, arm, percept, path, table):
             path,
             strike_speed(person, intention),
             wall_of(intention),
-            aim_y(mind, percept[5], table),
-            max(mind.strike_left - 0.06, 0.4 * SOONEST_STRIKE) if goes_on else SOONEST_STRIKE,
-            GOES_ON_AT if goes_on else STARTS_AT,
+            aim_y(person, mind, percept[5], table),
+            max(mind.strike_left - person.strike_slack, person.soonest_correction)
+            if goes_on
+            else person.soonest_strike,
+            person.effort_to_go_on if goes_on else person.effort_to_begin,
             table,
         )
         if contact < np.inf:
@@ -131,7 +124,7 @@ def find_move(person, mind, arm, percept, path, table):
 @njit(cache=True)
 def plan(person, mind, arm, shadow, percept, felt, variant, table, path, rng, index):
     """Look again, and plan the hand's way for the next plan period from where the hand is."""
-    misjudge(mind, rng, index)
+    misjudge(person, mind, rng, index)
     timing = person.timing_noise * standard_normal(rng, index)
     threatened = foresee(person, mind, percept, person.sight_delay, table, path) >= 0
     if threatened and not mind.threatened:
@@ -147,14 +140,14 @@ def plan(person, mind, arm, shadow, percept, felt, variant, table, path, rng, in
         if contact - seconds > 0.0:  # a back-swing: the next plan is the swing
             mind.plan_left = min(mind.plan_left, seconds)
         elif contact < 1.5 * person.plan_period:  # too late to change it
-            mind.plan_left = contact + CARRY_THROUGH
+            mind.plan_left = contact + person.carry_through
         seconds += timing
     gain_x, gain_y = to_hand(1.0 - table.length / 4, 1.0, table)
     goal_x, goal_y = mind.goal_x, mind.goal_y
-    begin_plan(shadow, goal_x, goal_y, vx * gain_x, vy * gain_y, seconds, person.muscle_lag)
+    begin_plan(shadow, person, goal_x, goal_y, vx * gain_x, vy * gain_y, seconds)
     if variant == Variant.V2:
         goal_x, goal_y = shared_goal(person, mind, arm.hand_x, arm.hand_y, felt[0], felt[1])
-    begin_plan(arm, goal_x, goal_y, vx * gain_x, vy * gain_y, seconds, person.muscle_lag)
+    begin_plan(arm, person, goal_x, goal_y, vx * gain_x, vy * gain_y, seconds)
 
 
 @njit(cache=True)
@@ -162,12 +155,12 @@ def think(person, mind, arm, shadow, percept, before, felt, variant, table, path
     """Notice what happens, decide if it asks for it, and plan when it is time. `before` is the percept a tick older."""
     tick = table.tick
     paddle_x, _ = to_table(arm.hand_x, arm.hand_y, table)
-    situation = situation_of(percept, person.sight_delay, paddle_x, table)
+    situation = situation_of(person, percept, paddle_x, table)
     kick = hypot(percept[PUCK + 2] - before[PUCK + 2], percept[PUCK + 3] - before[PUCK + 3])
-    struck = mind.strike_left < -STRIKE_OVER
+    struck = mind.strike_left < -person.strike_over
     if struck:
         mind.strike_left = np.inf
-    if situation != mind.situation or kick > KICK or struck or mind.dwell_left <= 0.0:
+    if situation != mind.situation or kick > person.kick or struck or mind.dwell_left <= 0.0:
         mind.situation = situation
         decide(person, mind, arm, percept, situation, table, path, worth, rng, index)
     if mind.switch_left >= 0.0:
@@ -185,9 +178,9 @@ def think(person, mind, arm, shadow, percept, before, felt, variant, table, path
 
 
 @njit(cache=True)
-def _perceived_force(felt, row, out):
+def _perceived_force(person, felt, row, out):
     out[0], out[1] = felt[row, 0], felt[row, 1]
-    if hypot(out[0], out[1]) < FELT_FROM:
+    if hypot(out[0], out[1]) < person.felt_from:
         out[0] = out[1] = 0.0
 
 
@@ -221,7 +214,7 @@ def play(people, minds, arms, tallies, seen, felt, partner, trail, state, force,
         touched = age - _ticks(person.touch_delay, tick)
         now[:] = 0.0
         if touched >= 0:
-            _perceived_force(felt[index], touched % ring, now)
+            _perceived_force(person, felt[index], touched % ring, now)
         looked = age - _ticks(person.sight_delay, tick)
         if looked >= 0:
             percept = seen[index, looked % ring]
@@ -241,16 +234,19 @@ def play(people, minds, arms, tallies, seen, felt, partner, trail, state, force,
         trail[index, row, 2], trail[index, row, 3] = shadow.hand_x, shadow.hand_y
         partner[index, row, 0] = arm.hand_x + now[0] / person.believed_stiffness
         partner[index, row, 1] = arm.hand_y + now[1] / person.believed_stiffness
-        meant = age - _ticks(BELIEVED_AHEAD, tick)
+        meant = age - _ticks(person.believed_ahead, tick)
         if meant >= 0 and variant == Variant.V2:
             old = meant % ring
-            believed = touched - _ticks(BELIEVED_AHEAD, tick)
-            if believed >= 0 and hypot(felt[index, believed % ring, 0], felt[index, believed % ring, 1]) >= FELT_FROM:
+            believed = touched - _ticks(person.believed_ahead, tick)
+            if (
+                believed >= 0
+                and hypot(felt[index, believed % ring, 0], felt[index, believed % ring, 1]) >= person.felt_from
+            ):
                 learn_trust(person, mind, partner[index, old, 0], partner[index, old, 1], arm.hand_x, arm.hand_y, tick)
         last = felt[index, (age - 1) % ring] if age > 0 else felt[index, row]
         tally_force(tally, person, mind, arm, shadow, now, force[index], last, tick)
-        if age >= _ticks(HINDSIGHT, tick):
-            tally_hindsight(tally, mind, trail[index, (age - _ticks(HINDSIGHT, tick)) % ring])
+        if age >= _ticks(person.hindsight_after, tick):
+            tally_hindsight(tally, mind, trail[index, (age - _ticks(person.hindsight_after, tick)) % ring])
         mind.age = age + 1
         action[index, 0] = clamp(arm.hand_x / HAND_REACH, -1.0, 1.0)
         action[index, 1] = clamp(arm.hand_y / HAND_REACH, -1.0, 1.0)

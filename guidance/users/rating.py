@@ -18,10 +18,6 @@ from airhockey_marl.tables import random_unit
 from guidance.users.perception import standard_normal
 from guidance.users.reaction import agreement, stiffness_now
 
-HINDSIGHT = 0.3  # s later it is known where the hand had to be
-STIFFENING_COST = 0.01  # m: co-contraction is an effort of its extra stiffness times this, [A]
-SURPRISE_MEMORY = 0.2  # s, over which a force becomes the expected one, [A]
-
 SIGNALS = ("conflict", "unsupported", "supportive_power", "deviation", "effort", "jerk", "surprise", "hindsight")
 # Sums over a game of a person's ticks, and the force expected now.
 TALLY = np.dtype(
@@ -43,26 +39,26 @@ def tally_force(tally, person, mind, arm, shadow, felt, force, last_force, tick)
         force, last_force: (2,) the force at the hand in this tick and the one before, N.
         tick: s.
     """
-    support, conflict = agreement(felt[0], felt[1], mind.goal_x - arm.hand_x, mind.goal_y - arm.hand_y)
+    support, conflict = agreement(person, felt[0], felt[1], mind.goal_x - arm.hand_x, mind.goal_y - arm.hand_y)
     tally.ticks += 1
     tally.conflict += conflict
     tally.unsupported += hypot(felt[0], felt[1]) - support
     tally.supportive_power += max(0.0, force[0] * arm.hand_v_x + force[1] * arm.hand_v_y)
     tally.deviation += hypot(arm.hand_x - shadow.hand_x, arm.hand_y - shadow.hand_y)
     stiffer = stiffness_now(person, mind) - person.stiffness
-    tally.effort += arm.effort - shadow.effort + STIFFENING_COST * stiffer
+    tally.effort += arm.effort - shadow.effort + person.stiffening_cost * stiffer
     tally.jerk += ((force[0] - last_force[0]) ** 2 + (force[1] - last_force[1]) ** 2) / tick**2
     off_x, off_y = force[0] - tally.expected_x, force[1] - tally.expected_y
     tally.surprise += hypot(off_x, off_y)
-    tally.expected_x += min(tick / SURPRISE_MEMORY, 1.0) * off_x
-    tally.expected_y += min(tick / SURPRISE_MEMORY, 1.0) * off_y
+    tally.expected_x += min(tick / person.surprise_memory, 1.0) * off_x
+    tally.expected_y += min(tick / person.surprise_memory, 1.0) * off_y
 
 
 @njit(cache=True)
 def tally_hindsight(tally, mind, trail):
     """Add how much nearer the force had the hand to where it turns out to be needed now, m.
 
-    `trail` (4,) is where the hand and its shadow were `HINDSIGHT` seconds ago.
+    `trail` (4,) is where the hand and its shadow were `hindsight_after` seconds ago.
     """
     tally.hindsight_ticks += 1
     without = hypot(trail[2] - mind.goal_x, trail[3] - mind.goal_y)

@@ -11,15 +11,6 @@ from math import exp, hypot
 
 from numba import njit
 
-from guidance.users.arm import STIFFEST
-
-FELT_FROM = 0.05  # N, [A]
-AIM_SIZE = 0.005  # m: nearer to the goal than this, no direction is one's own
-FULL_CONFLICT = 2.0  # N, makes the arm as stiff as it gets
-TRUST_MEMORY = 10.0  # s
-TRUST_AT_FIRST = 0.5
-BELIEVED_AHEAD = 0.3  # s, when the partner's goal should have been reached
-
 
 class Variant(IntEnum):
     """Which of the three models of a person's answer."""
@@ -30,16 +21,16 @@ class Variant(IntEnum):
 
 
 @njit(cache=True)
-def agreement(force_x, force_y, away_x, away_y):
+def agreement(person, force_x, force_y, away_x, away_y):
     """How much of a force helps on the way `away` to the own goal, and how much of it is against it, both in N.
 
-    At the goal itself (5 mm) there is no way to help: all of it conflicts.
+    At the goal itself there is no way to help: all of it conflicts.
     """
     size = hypot(force_x, force_y)
     distance = hypot(away_x, away_y)
     if size == 0.0:
         return 0.0, 0.0
-    sure = distance / (distance + AIM_SIZE)
+    sure = distance / (distance + person.aim_size)
     cosine = (force_x * away_x + force_y * away_y) / (size * distance) if distance > 0.0 else 0.0
     return sure * max(0.0, cosine) * size, (sure * max(0.0, -cosine) + 1.0 - sure) * size
 
@@ -51,10 +42,10 @@ def answer(person, mind, hand_x, hand_y, felt_x, felt_y, variant, tick):
     Returns:
         The conflict, N.
     """
-    support, conflict = agreement(felt_x, felt_y, mind.goal_x - hand_x, mind.goal_y - hand_y)
+    support, conflict = agreement(person, felt_x, felt_y, mind.goal_x - hand_x, mind.goal_y - hand_y)
     if variant == Variant.V0:
         return conflict
-    tense = min(conflict / FULL_CONFLICT, 1.0)
+    tense = min(conflict / person.full_conflict, 1.0)
     mind.co_contraction += (1.0 - exp(-tick / person.stiffening_lag)) * (tense - mind.co_contraction)
     size = hypot(felt_x, felt_y)
     share = (person.resistance * conflict + person.slacking * support) / size if size > 0.0 else 0.0
@@ -66,15 +57,15 @@ def answer(person, mind, hand_x, hand_y, felt_x, felt_y, variant, tick):
 
 @njit(cache=True)
 def stiffness_now(person, mind):
-    """K_h in N/m: relaxed stiffness, raised by co-contraction, at most fourfold."""
-    return person.stiffness * min(1.0 + person.stiffening * mind.co_contraction, STIFFEST)
+    """K_h in N/m: relaxed stiffness, raised by co-contraction, within bounds."""
+    return person.stiffness * min(1.0 + person.stiffening * mind.co_contraction, person.stiffest)
 
 
 @njit(cache=True)
 def learn_trust(person, mind, meant_x, meant_y, hand_x, hand_y, tick):
-    """Trust the partner whose goal of 0.3 s ago, `meant`, is where the hand is now."""
+    """Trust the partner whose goal of a while ago, `meant`, is where the hand is now."""
     off = hypot(meant_x - hand_x, meant_y - hand_y) / person.sharing_range
-    mind.trust += (1.0 - exp(-tick / TRUST_MEMORY)) * (1.0 / (1.0 + off * off) - mind.trust)
+    mind.trust += (1.0 - exp(-tick / person.trust_memory)) * (1.0 / (1.0 + off * off) - mind.trust)
 
 
 @njit(cache=True)
