@@ -110,3 +110,19 @@ class Mixture:
             share * sampler.chances(standing) for sampler, share in zip(self.samplers, self.shares, strict=True)
         ]
         return sum(weighted) / sum(self.shares)
+
+
+@dataclass(frozen=True)
+class Curriculum:
+    """One sampler until a generation has been frozen, another from then on.
+
+    Attributes:
+        generation: the number of generations from which `then` has its say.
+    """
+
+    first: Sampler
+    then: Sampler
+    generation: int
+
+    def chances(self, standing: Standing) -> np.ndarray:
+        return (self.first if standing.generations < self.generation else self.then).chances(standing)

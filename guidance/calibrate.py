@@ -28,7 +28,7 @@ from guidance.forces import lookahead, uncertainty_weight
 from guidance.maml import forward_each
 from guidance.models import Models
 from guidance.study import Games, no_force, play_games, streams
-from guidance.users import Users, training_people
+from guidance.users import Users, load_mentors, training_people
 
 OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has the number of its condition
 
@@ -41,6 +41,7 @@ def main(cfg: DictConfig) -> None:
         require_counts(cfg, "seed", least=0)
         require_numbers(cfg, "w_unc.optimal", "w_unc.user", "low_over_high", at_most=0.999)
         people = training_people(cfg.seed, hydra.utils.instantiate(cfg.users.population))
+        mentors = load_mentors(cfg.users.mentors)
         protocol = hydra.utils.instantiate(cfg.study, familiarisation=0)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
         league = League.load(cfg.models.league)
@@ -55,7 +56,7 @@ def main(cfg: DictConfig) -> None:
             [streams(cfg.seed, [u], trial + g, p) for u in range(len(people)) for g in range(cfg.games)] for p in (0, 1)
         ]
         minds, serves = (np.concatenate(part) for part in keys)
-        seated = Users(np.repeat(people, cfg.games), minds, Table(), cfg.users.variant)
+        seated = Users(np.repeat(people, cfg.games), minds, Table(), cfg.users.variant, mentors)
         opponent = confident(league.player(generation))
         return play_games(seated, opponent, no_force, protocol, Table(), serves, demonstrations)
 

@@ -10,7 +10,7 @@ from airhockey_marl.table import LEFT, RIGHT, Table
 from airhockey_marl.tables import Tables
 from guidance.study import streams
 from guidance.user_model import Demonstrations
-from guidance.users import Users
+from guidance.users import Mentors, Users
 
 
 @torch.no_grad()
@@ -21,6 +21,7 @@ def collect(
     ticks: int,
     table: Table,
     variant: str,
+    mentors: Mentors,
     seed: int,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Demonstrations:
@@ -45,7 +46,7 @@ def collect(
     tables = Tables(n, table)
     tables.rng[:] = game_streams(3)
     tables.new_rounds()
-    players = Users(np.repeat(people, games), game_streams(2), table, variant)
+    players = Users(np.repeat(people, games), game_streams(2), table, variant, mentors)
     observation, action = np.empty((ticks, n, 12), dtype=np.float32), np.empty((ticks, n, 2), dtype=np.float32)
     seen, actions, no_force = np.empty((n, 12)), np.zeros((n, 2, 2)), np.zeros((n, 2))
     seen_by_opponent = np.empty((n, 12), dtype=np.float32)

@@ -22,7 +22,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.cli import CONF, ProgressBar, command, input_errors, require_counts, require_numbers
-from airhockey_marl.files import replacing, write_json
+from airhockey_marl.files import replacing, sha256, write_json
 from airhockey_marl.league import League
 from airhockey_marl.match import confident
 from airhockey_marl.table import Table
@@ -30,7 +30,7 @@ from guidance.conditions import Condition
 from guidance.models import Models
 from guidance.report import screen_table, write_report
 from guidance.study import Protocol, run_study
-from guidance.users import Population, sample_people
+from guidance.users import Population, load_mentors, sample_people
 from guidance.users.reaction import Variant
 
 VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas", "pingouin")
@@ -59,6 +59,7 @@ def main(cfg: DictConfig) -> None:
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
         opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
         people = sample_people(cfg.participants, cfg.seed, population)
+        mentors = load_mentors(cfg.users.mentors)
         if cfg.users.variant not in Variant.__members__:
             raise ValueError(f"users.variant = {cfg.users.variant!r} must be one of {', '.join(Variant.__members__)}")
     torch.set_num_threads(cfg.threads)
@@ -72,6 +73,7 @@ def main(cfg: DictConfig) -> None:
         protocol,
         Table(),
         cfg.users.variant,
+        mentors,
         OmegaConf.to_container(cfg.users.scales),
         cfg.seed,
         progress,
@@ -80,23 +82,25 @@ def main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with replacing(folder / "trials.csv") as temporary:
         trials.to_csv(temporary, index=False)
-    facts = manifest(cfg, models, time.perf_counter() - began)
+    hashes = models.hashes | ({"mentors": sha256(cfg.users.mentors)} if cfg.users.mentors is not None else {})
+    facts = manifest(cfg, hashes, time.perf_counter() - began)
     write_json(folder / "manifest.json", facts)
     write_report(trials, folder, facts)
     print(screen_table(trials))
     print(f"\nreport: {folder / 'report.html'}")
 
 
-def manifest(cfg: DictConfig, models: Models, seconds: float) -> dict:
+def manifest(cfg: DictConfig, hashes: dict[str, str], seconds: float) -> dict:
     """What a result came from. `study_hash` is the same for runs that may be merged: all but seed and condition."""
     config = OmegaConf.to_container(cfg, resolve=True)
     shared = {key: value for key, value in config.items() if key not in ("condition", "models", "seed", "threads")}
-    digest = hashlib.sha256(json.dumps([shared, models.hashes], sort_keys=True).encode()).hexdigest()
+    shared["users"] = {key: value for key, value in shared["users"].items() if key != "mentors"}  # hashed, like models
+    digest = hashlib.sha256(json.dumps([shared, hashes], sort_keys=True).encode()).hexdigest()
     return {
         "command": " ".join(["python -m guidance.evaluate", *HydraConfig.get().overrides.task]),
         "seed": cfg.seed,
         "study_hash": digest,
-        "models": models.hashes,
+        "models": hashes,
         "versions": {name: version(name) for name in VERSIONS},
         "seconds": round(seconds, 1),
         "config": config,

@@ -32,7 +32,7 @@ from guidance.demonstrations import collect
 from guidance.maml import forward_each, parameters
 from guidance.models import save_user_model
 from guidance.user_model import Demonstrations, adapt_to_user, prediction_loss, train_maml, train_supervised
-from guidance.users import Population, sample_people, training_people
+from guidance.users import Population, load_mentors, sample_people, training_people
 
 HELD_OUT_SEED = 1_000_003  # the card's people: neither the training users nor those of a study with a small seed
 
@@ -55,6 +55,7 @@ def main(cfg: DictConfig) -> None:
     with input_errors():
         check(cfg)
         population: Population = hydra.utils.instantiate(cfg.users.population)
+        mentors = load_mentors(cfg.users.mentors)
         opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
@@ -65,9 +66,8 @@ def main(cfg: DictConfig) -> None:
 
     def play(people: np.ndarray, seed: int, what: str) -> Demonstrations:
         told = partial(progress, what)
-        return collect(
-            people, opponent, **cfg.demonstrations, table=Table(), variant=cfg.users.variant, seed=seed, progress=told
-        )
+        how = {"table": Table(), "variant": cfg.users.variant, "mentors": mentors, "seed": seed}
+        return collect(people, opponent, **cfg.demonstrations, **how, progress=told)
 
     data = play(training_people(cfg.seed, population), cfg.seed, "nine people play")
     generator = torch.Generator().manual_seed(cfg.seed)

@@ -23,7 +23,7 @@ from airhockey_marl.tables import Tables
 from guidance.conditions import Condition, Guided
 from guidance.metrics import Moments, disagreement, new_sheets, record, results
 from guidance.models import Guide, Models
-from guidance.users import Users
+from guidance.users import Mentors, Users
 
 NO_CONDITION = 99  # in the seeds, the unscored game counts as a condition of its own
 LETTERS = "abcdefghi"
@@ -227,6 +227,7 @@ def run_study(
     protocol: Protocol,
     table: Table,
     variant: str,
+    mentors: Mentors,
     rating_scales: dict[str, float],
     seed: int,
     progress: Callable[[str, float], None] = lambda what, share: None,
@@ -243,9 +244,8 @@ def run_study(
     users = range(len(people))
 
     def games_of(games: Sequence[int], forces: Forces, what: str, demonstrations: bool = False):
-        seated = np.tile(people, len(games))
-        participants = Users(seated, np.concatenate([streams(seed, users, g, 0) for g in games]), table, variant)
-        serves = np.concatenate([streams(seed, users, g, 1) for g in games])
+        minds, serves = (np.concatenate([streams(seed, users, g, p) for g in games]) for p in (0, 1))
+        participants = Users(np.tile(people, len(games)), minds, table, variant, mentors)
         return participants, play_games(
             participants, opponent, forces, protocol, table, serves, demonstrations, partial(progress, what)
         )

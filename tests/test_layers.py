@@ -13,7 +13,7 @@ LEAVES = {
 }
 COMMANDS = {
     *(f"airhockey_marl.{name}" for name in ("train", "league_report", "compare")),
-    *(f"guidance.{name}" for name in ("meta_train", "calibrate", "evaluate")),
+    *(f"guidance.{name}" for name in ("collect", "battery", "watch", "meta_train", "calibrate", "evaluate")),
 }
 
 

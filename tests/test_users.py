@@ -110,22 +110,22 @@ def test_what_happens_now_moves_the_hand_only_after_the_delay_of_sight():
 
 
 def test_the_arm_yields_to_a_force_by_its_stiffness():
-    person, mind, arm = sample_people(1, 2)[0], np.zeros(1, MIND)[0], np.zeros(1, ARM)[0]
+    person, arm = sample_people(1, 2)[0], np.zeros(1, ARM)[0]
     for stiffness in (person["stiffness"], 2 * person["stiffness"]):
         rest(arm, person)
         for _ in range(2000):
-            move_arm(arm, person, mind, stiffness, 0.0, 0.0, 1.0, -2.0, 0.004)
+            move_arm(arm, person, 0.0, 0.0, stiffness, 0.0, 0.0, 1.0, -2.0, 0.004)
         assert arm["hand_x"] == pytest.approx(1.0 / stiffness, rel=1e-3)
         assert arm["hand_y"] == pytest.approx(-2.0 / stiffness, rel=1e-3)
 
 
 def test_the_arm_follows_a_reach_with_one_peak_of_speed():
-    person, mind, arm = sample_people(1, 2)[0], np.zeros(1, MIND)[0], np.zeros(1, ARM)[0]
+    person, arm = sample_people(1, 2)[0], np.zeros(1, ARM)[0]
     rest(arm, person)
     begin_plan(arm, person, 0.06, -0.03, 0.0, 0.0, 0.4)
     speed = []
     for _ in range(250):
-        move_arm(arm, person, mind, person["stiffness"], 0.0, 0.0, 0.0, 0.0, 0.004)
+        move_arm(arm, person, 0.0, 0.0, person["stiffness"], 0.0, 0.0, 0.0, 0.0, 0.004)
         speed.append(np.hypot(arm["hand_v_x"], arm["hand_v_y"]))
     assert (arm["hand_x"], arm["hand_y"]) == pytest.approx((0.06, -0.03), abs=1e-3)
     assert max(speed) == pytest.approx(1.5 * np.hypot(0.06, 0.03) / (0.4 - person["muscle_lag"]), rel=0.2)

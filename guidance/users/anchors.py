@@ -13,6 +13,7 @@ import numpy as np
 
 from airhockey_marl.table import LEFT, RIGHT, Table
 from airhockey_marl.tables import Tables
+from guidance.users.mentors import Mentors
 from guidance.users.people import Users
 from guidance.users.rating import SIGNALS
 from guidance.users.sampling import personal_streams
@@ -54,6 +55,7 @@ def play_anchor(
     seconds: float = 120.0,
     seed: int = 0,
     variant: str = "V1",
+    mentors: Mentors | None = None,
 ) -> Users:
     """One game of `seconds` of everyone (left seat) under one anchor force against `opponent` (right seat).
 
@@ -76,7 +78,7 @@ def play_anchor(
     tables = Tables(n, table)
     tables.seed(seed)
     tables.new_rounds()
-    users = Users(people, personal_streams(n, seed), tables.table, variant)
+    users = Users(people, personal_streams(n, seed), tables.table, variant, mentors)
     rng = np.random.default_rng([seed, ANCHORS.index(anchor) if anchor in ANCHORS else len(ANCHORS)])
     left, right, actions = np.zeros((n, 12)), np.zeros((n, 12)), np.zeros((n, 2, 2))
     force, angle = np.zeros((n, 2)), np.zeros(n)
@@ -102,6 +104,7 @@ def anchor_scales(
     table: Table | None = None,
     seconds: float = 120.0,
     seed: int = 0,
+    mentors: Mentors | None = None,
 ) -> dict[str, float]:
     """The unit of each signal: its mean over people (variant V1) under its anchor, as in `SCALED_BY`.
 
@@ -111,7 +114,8 @@ def anchor_scales(
     Raises:
         ValueError: an anchor gives a signal no positive value, so it cannot be a unit; play longer.
     """
-    means = {name: play_anchor(people, opponent, name, table, seconds, seed).signals.mean(axis=0) for name in ANCHORS}
+    played = {name: play_anchor(people, opponent, name, table, seconds, seed, mentors=mentors) for name in ANCHORS}
+    means = {name: users.signals.mean(axis=0) for name, users in played.items()}
     scales = {signal: float(means[SCALED_BY[signal]][column]) for column, signal in enumerate(SIGNALS)}
     for signal, value in scales.items():
         if not value > 0:

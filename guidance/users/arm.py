@@ -14,8 +14,24 @@ HAND_REACH = 0.075  # m of hand travel for |action| = 1, the workspace of an Ome
 SUBSTEPS = 5  # of the arm in one tick
 SHORTEST_PLAN = 0.04  # s, of a cubic; two ticks
 
-# An arm: where the hand is and what moves it. `ref` is the plan as executed, that is with motor noise.
-_PAIRS = ("hand", "hand_v", "muscle", "ref", "start_v", "lead_in", "bend", "twist", "end_v")
+# An arm: where the hand is and what moves it. `ref` is the plan as executed, that is with motor noise. `sensed` and
+# `sensed_v` are where the hand is to its owner's knowledge, and how fast; `base` is by how much its forward model has
+# been put right so far.
+_PAIRS = (
+    "hand",
+    "hand_v",
+    "muscle",
+    "ref",
+    "start_v",
+    "lead_in",
+    "bend",
+    "twist",
+    "end_v",
+    "base",
+    "base_v",
+    "sensed",
+    "sensed_v",
+)
 ARM = np.dtype(
     [(name + axis, np.float64) for name in _PAIRS for axis in ("_x", "_y")]
     + [("plan_seconds", np.float64), ("plan_age", np.float64), ("effort", np.float64)]
@@ -28,6 +44,8 @@ def rest(arm, person):
     arm.hand_x = arm.hand_y = arm.hand_v_x = arm.hand_v_y = 0.0
     arm.muscle_x = arm.muscle_y = arm.effort = 0.0
     arm.end_v_x = arm.end_v_y = 0.0
+    arm.base_x = arm.base_y = arm.base_v_x = arm.base_v_y = 0.0
+    arm.sensed_x = arm.sensed_y = arm.sensed_v_x = arm.sensed_v_y = 0.0
     arm.plan_seconds = arm.plan_age = 0.0
     begin_plan(arm, person, 0.0, 0.0, 0.0, 0.0, 0.1)
 
@@ -58,9 +76,9 @@ def start_of_plan(arm, person):
     lag = person.muscle_lag
     now_x, now_y = _planned_velocity(arm, person, arm.plan_age)
     then_x, then_y = _planned_velocity(arm, person, arm.plan_age + lag)
-    v_x, v_y = arm.hand_v_x + then_x - now_x, arm.hand_v_y + then_y - now_y
-    x = arm.hand_x + 0.5 * lag * (arm.hand_v_x + v_x)
-    y = arm.hand_y + 0.5 * lag * (arm.hand_v_y + v_y)
+    v_x, v_y = arm.sensed_v_x + then_x - now_x, arm.sensed_v_y + then_y - now_y
+    x = arm.sensed_x + 0.5 * lag * (arm.sensed_v_x + v_x)
+    y = arm.sensed_y + 0.5 * lag * (arm.sensed_v_y + v_y)
     return x, y, v_x, v_y
 
 
@@ -69,13 +87,13 @@ def begin_plan(arm, person, goal_x, goal_y, end_v_x, end_v_y, seconds):
     """Plan to be at `goal` in `seconds` at velocity `end_v`, from where the hand is once the muscles follow."""
     lag = person.muscle_lag
     x, y, v_x, v_y = start_of_plan(arm, person)
-    arm.lead_in_x = (v_x - arm.hand_v_x) / lag
-    arm.lead_in_y = (v_y - arm.hand_v_y) / lag
+    arm.lead_in_x = (v_x - arm.sensed_v_x) / lag
+    arm.lead_in_y = (v_y - arm.sensed_v_y) / lag
     seconds = max(seconds - lag, SHORTEST_PLAN)
     arm.bend_x, arm.bend_y, arm.twist_x, arm.twist_y = cubic(
         goal_x - x, goal_y - y, v_x, v_y, end_v_x, end_v_y, seconds
     )
-    arm.ref_x, arm.ref_y = arm.hand_x, arm.hand_y
+    arm.ref_x, arm.ref_y = arm.sensed_x, arm.sensed_y
     arm.start_v_x, arm.start_v_y, arm.end_v_x, arm.end_v_y = v_x, v_y, end_v_x, end_v_y
     arm.plan_seconds, arm.plan_age = seconds, -lag
 
@@ -114,6 +132,48 @@ def _planned_acceleration(arm, person, age):
 
 
 @njit(cache=True)
+def unexpected(arm, model, out):
+    """Write how far the hand is, and moves, from where its forward model is: (4,) m and m/s."""
+    out[0], out[1] = arm.hand_x - model.hand_x + model.base_x, arm.hand_y - model.hand_y + model.base_y
+    out[2], out[3] = arm.hand_v_x - model.hand_v_x + model.base_v_x, arm.hand_v_y - model.hand_v_y + model.base_v_y
+
+
+@njit(cache=True)
+def sense(arm, model, late):
+    """Know where the hand is: what one commanded is known at once, the rest only as `late` (4,) as it is felt.
+
+    The model is a copy of the arm that hears every command and knows nothing of noise and forces (Wolpert et al. 1995).
+    """
+    arm.sensed_x, arm.sensed_y = model.hand_x - model.base_x + late[0], model.hand_y - model.base_y + late[1]
+    arm.sensed_v_x = model.hand_v_x - model.base_v_x + late[2]
+    arm.sensed_v_y = model.hand_v_y - model.base_v_y + late[3]
+
+
+@njit(cache=True)
+def put_right(model, arm):
+    """Have the forward model begin the arm's new plan, from where its owner takes the hand to be."""
+    model.base_x += arm.sensed_x - model.hand_x
+    model.base_y += arm.sensed_y - model.hand_y
+    model.base_v_x += arm.sensed_v_x - model.hand_v_x
+    model.base_v_y += arm.sensed_v_y - model.hand_v_y
+    model.hand_x, model.hand_y, model.hand_v_x, model.hand_v_y = (
+        arm.sensed_x,
+        arm.sensed_y,
+        arm.sensed_v_x,
+        arm.sensed_v_y,
+    )
+    model.ref_x, model.ref_y, model.plan_seconds, model.plan_age = arm.ref_x, arm.ref_y, arm.plan_seconds, arm.plan_age
+    model.lead_in_x, model.lead_in_y, model.start_v_x, model.start_v_y = (
+        arm.lead_in_x,
+        arm.lead_in_y,
+        arm.start_v_x,
+        arm.start_v_y,
+    )
+    model.bend_x, model.bend_y, model.twist_x, model.twist_y = arm.bend_x, arm.bend_y, arm.twist_x, arm.twist_y
+    model.end_v_x, model.end_v_y = arm.end_v_x, arm.end_v_y
+
+
+@njit(cache=True)
 def draw_motor_noise(person, mind, dt, rng, index):
     """Hold the motor noise for a while, then draw it anew: shares of speed along and across the motion."""
     mind.noise_left -= dt
@@ -124,7 +184,7 @@ def draw_motor_noise(person, mind, dt, rng, index):
 
 
 @njit(cache=True)
-def move_arm(arm, person, mind, stiffness, push_x, push_y, force_x, force_y, dt):
+def move_arm(arm, person, noise_along, noise_across, stiffness, push_x, push_y, force_x, force_y, dt):
     """Move the hand by `dt`.
 
         (M_h + M_dev) x'' = a + F_v + K_h (r_exec - x) + B_h (r'_exec - x') + b_dev (r' - x') + F_HG
@@ -133,6 +193,7 @@ def move_arm(arm, person, mind, stiffness, push_x, push_y, force_x, force_y, dt)
     The command runs ahead of the plan by the muscle's own lag, which a practised motor system has learned.
 
     Args:
+        noise_along, noise_across: of the plan's velocity, shares of its size.
         stiffness: K_h, N/m; its damping B_h grows with its root.
         push_x, push_y: F_v, what the person adds on purpose, N.
         force_x, force_y: F_HG, the force of the device on the hand, N.
@@ -141,8 +202,8 @@ def move_arm(arm, person, mind, stiffness, push_x, push_y, force_x, force_y, dt)
     damping = person.damping_time * sqrt(person.stiffness * stiffness)
     arm.plan_age += dt
     plan_x, plan_y = _planned_velocity(arm, person, arm.plan_age)
-    exec_x = plan_x + plan_x * mind.noise_along - plan_y * mind.noise_across
-    exec_y = plan_y + plan_y * mind.noise_along + plan_x * mind.noise_across
+    exec_x = plan_x + plan_x * noise_along - plan_y * noise_across
+    exec_y = plan_y + plan_y * noise_along + plan_x * noise_across
     arm.ref_x += exec_x * dt
     arm.ref_y += exec_y * dt
     want_x, want_y = _planned_acceleration(arm, person, arm.plan_age + person.muscle_lag)

@@ -196,7 +196,7 @@ def strike(person, arm, path, speed, wall, aim_y, earliest, effort, table):
             return (x, y, along * nx, along * ny, seconds), seconds
         run_up = 0.5 * person.swing * max(along, 0.0) + 0.01
         x, y = clamp(x - run_up * nx, -outer, -inner), clamp(y - run_up * ny, -side, side)
-        if move_seconds(person, arm.hand_x, arm.hand_y, x, y, table) + person.swing <= seconds:
+        if move_seconds(person, arm.sensed_x, arm.sensed_y, x, y, table) + person.swing <= seconds:
             way = max(seconds - person.swing - lag, SHORTEST_PLAN)
             if not reaches_cleanly(from_x, from_y, from_vx, from_vy, x, y, 0.0, 0.0, way, lag, path, table):
                 x, y = go_around(person, from_x, from_y, path[0, 0], path[0, 1], table)

@@ -21,7 +21,8 @@ from guidance.users.geometry import (
 from guidance.users.perception import PUCK
 from guidance.users.population import WORTHS
 
-INTENTIONS = 9
+INTENTIONS = 9  # that one can have of one's own accord
+NOTHING = -1  # told by nobody
 IMPOSSIBLE = -1e9
 
 # Rows of `PERSON.worth`: the intention, and what is going on.
@@ -52,6 +53,7 @@ class Intention(IntEnum):
     SMASH_BANK_LEFT = 6
     SMASH_BANK_RIGHT = 7
     RECOVER = 8  # back behind a puck that has passed
+    REACH = 9  # put the paddle where the puck is; only ever because an experimenter says so
 
 
 class Situation(IntEnum):

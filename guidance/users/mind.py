@@ -7,6 +7,7 @@ MIND = np.dtype(
     [
         ("age", np.int64),  # ticks since the round began
         # intention
+        ("told", np.int64),  # the intention that an experimenter asks for, or -1
         ("intention", np.int64),
         ("next_intention", np.int64),  # decided, not yet effective
         ("switch_left", np.float64),  # until it is; < 0: nothing decided

@@ -6,6 +6,8 @@ import numpy as np
 
 from airhockey_marl.table import Table, check_table
 from guidance.users.arm import ARM
+from guidance.users.intention import NOTHING, Intention
+from guidance.users.mentors import NO_MENTORS, Mentors
 from guidance.users.mind import MIND
 from guidance.users.player import begin_round, play
 from guidance.users.population import PERSON
@@ -24,13 +26,19 @@ class Users:
         streams: (n,) uint64, one stream of random numbers each, see `personal_streams`; copied.
         table: the `Table` they know by practice.
         variant: "V0" passive arm, "V1" comply or resist (the primary), "V2" V1 and goal sharing.
+        mentors: the players whose judgement people have learned from; None for nobody's.
 
     Raises:
         ValueError: a shape, dtype or variant is wrong.
     """
 
     def __init__(
-        self, people: np.ndarray, streams: np.ndarray, table: Table | None = None, variant: str = "V1"
+        self,
+        people: np.ndarray,
+        streams: np.ndarray,
+        table: Table | None = None,
+        variant: str = "V1",
+        mentors: Mentors | None = None,
     ) -> None:
         people = np.asarray(people)
         if people.dtype != PERSON or people.ndim != 1 or len(people) < 1:
@@ -41,15 +49,15 @@ class Users:
         if variant not in Variant.__members__:
             raise ValueError(f"variant = {variant!r} must be one of {', '.join(Variant.__members__)}")
         self.n, self.people, self.table = len(people), people.copy(), check_table(table or Table())
-        self.variant, self.streams = Variant[variant], streams.copy()
+        self.variant, self.streams, self.mentors = Variant[variant], streams.copy(), mentors or NO_MENTORS
+        delays = ("sight_delay", "proprioceptive_delay", "hindsight_after")
         longest = max(
-            people["sight_delay"].max(),
-            (people["touch_delay"] + people["believed_ahead"]).max(),
-            people["hindsight_after"].max(),
+            (people["touch_delay"] + people["believed_ahead"]).max(), *(people[name].max() for name in delays)
         )
         ring = ceil(longest / self.table.tick) + 2
-        self._minds, self._arms = np.zeros(self.n, MIND), np.zeros((self.n, 2), ARM)
+        self._minds, self._arms = np.zeros(self.n, MIND), np.zeros((self.n, 4), ARM)
         self._tallies = np.zeros(self.n, TALLY)
+        self._off, self._minds["told"] = np.zeros((self.n, ring, 2, 4)), NOTHING
         self._seen, self._felt = np.zeros((self.n, ring, 12)), np.zeros((self.n, ring, 2))
         self._partner, self._trail = np.zeros((self.n, ring, 2)), np.zeros((self.n, ring, 4))
         self._action = np.zeros((self.n, 2))
@@ -58,7 +66,7 @@ class Users:
     def new_round(self, which: np.ndarray) -> None:
         """Those of the boolean mask `which` (n,) begin a round: the hand at the centre, nothing seen or felt yet."""
         for index in np.flatnonzero(self._mask(which)):
-            begin_round(self.people[index], self._minds[index], self._arms[index, 0], self._arms[index, 1])
+            begin_round(self.people[index], self._minds[index], self._arms[index])
             self._tallies[index]["expected_x"] = self._tallies[index]["expected_y"] = 0.0
             self._action[index] = 0.0
 
@@ -75,6 +83,13 @@ class Users:
         if which.dtype != bool or which.shape != (self.n,):
             raise ValueError(f"which {which.dtype} {which.shape} must be bool ({self.n},)")
         return which
+
+    def instruct(self, intention: Intention | None) -> None:
+        """Have everyone do this, and nothing else, once they have seen something happen; None: as they like.
+
+        So an experimenter would ask, and the response is prepared: there is nothing to choose.
+        """
+        self._minds["told"] = NOTHING if intention is None else intention
 
     def step(self, state: np.ndarray, force: np.ndarray) -> np.ndarray:
         """Live through one tick.
@@ -101,8 +116,10 @@ class Users:
             self._tallies,
             self._seen,
             self._felt,
+            self._off,
             self._partner,
             self._trail,
+            self.mentors,
             np.ascontiguousarray(state, dtype=np.float64),
             np.ascontiguousarray(force, dtype=np.float64),
             int(self.variant),
@@ -136,6 +153,11 @@ class Users:
     def intention(self) -> np.ndarray:
         """(n,) int, members of `Intention`. Private, as `goal`."""
         return _locked(self._minds["intention"].copy())
+
+    @property
+    def strike_in(self) -> np.ndarray:
+        """(n,) s until the contact that is planned with the puck; infinite where none is. Private, as `goal`."""
+        return _locked(self._minds["strike_left"].copy())
 
     def _arm_pair(self, name: str) -> np.ndarray:
         arm = self._arms[:, 0]

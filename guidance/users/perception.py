@@ -49,6 +49,15 @@ def perceived_velocity(person, mind, vx, vy):
 
 
 @njit(cache=True)
+def surprising(person, percept, before, tick):
+    """Whether the puck was kicked, or is somewhere else all of a sudden, between two percepts a tick apart."""
+    kick = hypot(percept[PUCK + 2] - before[PUCK + 2], percept[PUCK + 3] - before[PUCK + 3])
+    leap_x = percept[PUCK] - before[PUCK] - tick * before[PUCK + 2]
+    leap_y = percept[PUCK + 1] - before[PUCK + 1] - tick * before[PUCK + 3]
+    return kick > person.kick or hypot(leap_x, leap_y) > person.leap
+
+
+@njit(cache=True)
 def foresee(person, mind, percept, delay, table, path):
     """Write where the puck is expected, now and 1.2 s ahead, into `path` (LOOK_AHEAD, 4): x, y, vx, vy.
 

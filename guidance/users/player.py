@@ -4,25 +4,38 @@ numba keeps the compiled code beside this file and does not notice a change in a
 one, delete `guidance/users/__pycache__`.
 """
 
-from math import hypot, log
+from math import exp, hypot, log
 
 import numpy as np
 from numba import njit
 
 from airhockey_marl.tables import random_unit
-from guidance.users.arm import HAND_REACH, SUBSTEPS, begin_plan, draw_motor_noise, move_arm, rest
+from guidance.users.arm import (
+    HAND_REACH,
+    SUBSTEPS,
+    begin_plan,
+    draw_motor_noise,
+    move_arm,
+    put_right,
+    rest,
+    sense,
+    unexpected,
+)
 from guidance.users.geometry import (
     block,
     clamp,
     go_around,
     guard_x,
+    move_seconds,
     strike,
     to_hand,
     to_table,
     unhurried,
 )
 from guidance.users.intention import (
+    IMPOSSIBLE,
     INTENTIONS,
+    NOTHING,
     Intention,
     Situation,
     aim_y,
@@ -32,9 +45,10 @@ from guidance.users.intention import (
     strike_speed,
     wall_of,
 )
-from guidance.users.perception import LOOK_AHEAD, PUCK, foresee, misjudge, standard_normal
+from guidance.users.mentors import advised
+from guidance.users.perception import LOOK_AHEAD, OWN, PUCK, foresee, misjudge, standard_normal, surprising
 from guidance.users.rating import tally_force, tally_hindsight
-from guidance.users.reaction import Variant, answer, learn_trust, shared_goal, stiffness_now
+from guidance.users.reaction import Variant, agreement, answer, learn_trust, shared_goal, stiffness_now
 
 
 @njit(cache=True, inline="always")
@@ -43,10 +57,10 @@ def _ticks(seconds, tick):
 
 
 @njit(cache=True)
-def begin_round(person, mind, arm, shadow):
+def begin_round(person, mind, arms):
     """The hand at rest at the centre, nothing seen or wanted; trust and co-contraction stay."""
-    rest(arm, person)
-    rest(shadow, person)
+    for index in range(len(arms)):
+        rest(arms[index], person)
     mind.age = 0
     mind.intention = mind.next_intention = Intention.WAIT
     mind.switch_left = -1.0
@@ -64,12 +78,14 @@ def begin_round(person, mind, arm, shadow):
 
 
 @njit(cache=True)
-def decide(person, mind, arm, percept, situation, table, path, worth, rng, index):
+def decide(person, mind, arm, percept, situation, mentors, table, path, worth, rng, index):
     """Draw an intention; another one than the present becomes effective after the decision delay."""
     mind.sees_bounces = 1 if random_unit(rng, index) < person.bounce_insight else 0
     mind.threatened = foresee(person, mind, percept, person.sight_delay, table, path) >= 0
     appraise(person, mind, arm, percept, path, situation, mind.threatened, table, worth)
+    take_advice(person, mind, arm, percept, mentors, table, path, worth)
     drawn = choose(worth, person.choice_temperature, rng, index)
+    unsteady = exp(person.delay_noise * standard_normal(rng, index))
     waiting = -log(1.0 - random_unit(rng, index)) * person.idle
     mind.dwell_left = person.dwell + waiting if situation == Situation.AWAY else np.inf
     if drawn == mind.intention:
@@ -77,7 +93,35 @@ def decide(person, mind, arm, percept, situation, table, path, worth, rng, index
         if drawn <= Intention.PRESS:
             mind.aim = 2.0 * random_unit(rng, index) - 1.0
     elif mind.switch_left < 0.0 or drawn != mind.next_intention:
-        mind.next_intention, mind.switch_left = drawn, person.decision_delay
+        mind.next_intention, mind.switch_left = drawn, person.decision_delay * unsteady
+
+
+@njit(cache=True)
+def take_advice(person, mind, arm, percept, mentors, table, path, worth):
+    """Add to the `worth` (INTENTIONS,) of each intention how far it goes where a mentor would go, -1 to 1 of `advice`.
+
+    The mentor is a generation of a league, the later the more skilled the person is; it is asked about the situation as
+    this person sees it.
+    """
+    if len(mentors.weights) == 0 or person.advice == 0.0:
+        return
+    paddle_x, paddle_y = to_table(arm.sensed_x, arm.sensed_y, table)
+    gain_x, gain_y = to_hand(1.0 - table.length / 4, 1.0, table)
+    seen = percept.copy()
+    seen[OWN], seen[OWN + 1] = paddle_x, paddle_y
+    seen[OWN + 2], seen[OWN + 3] = arm.sensed_v_x / gain_x, arm.sensed_v_y / gain_y
+    seen[PUCK : PUCK + 4] = path[0]
+    advised_x, advised_y = advised(mentors, person.skill, seen)
+    away_x, away_y = HAND_REACH * advised_x - arm.sensed_x, HAND_REACH * advised_y - arm.sensed_y
+    present = mind.intention
+    for intention in range(INTENTIONS):
+        if worth[intention] > IMPOSSIBLE:
+            mind.intention = intention
+            (x, y, _, _, _), _ = find_move(person, mind, arm, percept, path, table)
+            goal_x, goal_y = to_hand(x, y, table)
+            support, conflict = agreement(person, away_x, away_y, goal_x - arm.sensed_x, goal_y - arm.sensed_y)
+            worth[intention] += person.advice * (support - conflict) / max(hypot(away_x, away_y), person.aim_size)
+    mind.intention = present
 
 
 @njit(cache=True)
@@ -96,8 +140,12 @@ def find_move(person, mind, arm, percept, path, table):
         x, y, comes = block(person, path, table)
         x, y, vx, vy, seconds = unhurried(person, arm, x, y, path, table)
         return (x, y, vx, vy, min(seconds, comes)), np.inf
+    elif intention == Intention.REACH:
+        x, y = clamp(puck_x, -table.length / 2, 0.0), puck_y
+        seconds = move_seconds(person, arm.sensed_x, arm.sensed_y, x, y, table) + person.muscle_lag
+        return (x, y, 0.0, 0.0, seconds), np.inf
     elif intention == Intention.RECOVER:
-        paddle_x, paddle_y = to_table(arm.hand_x, arm.hand_y, table)
+        paddle_x, paddle_y = to_table(arm.sensed_x, arm.sensed_y, table)
         x, y = go_around(person, paddle_x, paddle_y, puck_x, puck_y, table)
     elif intention != Intention.WAIT:
         goes_on = mind.strike_left < np.inf
@@ -122,8 +170,9 @@ def find_move(person, mind, arm, percept, path, table):
 
 
 @njit(cache=True)
-def plan(person, mind, arm, shadow, percept, felt, variant, table, path, rng, index):
+def plan(person, mind, arms, percept, felt, variant, table, path, rng, index):
     """Look again, and plan the hand's way for the next plan period from where the hand is."""
+    arm, shadow = arms[0], arms[1]
     misjudge(person, mind, rng, index)
     timing = person.timing_noise * standard_normal(rng, index)
     threatened = foresee(person, mind, percept, person.sight_delay, table, path) >= 0
@@ -146,23 +195,29 @@ def plan(person, mind, arm, shadow, percept, felt, variant, table, path, rng, in
     goal_x, goal_y = mind.goal_x, mind.goal_y
     begin_plan(shadow, person, goal_x, goal_y, vx * gain_x, vy * gain_y, seconds)
     if variant == Variant.V2:
-        goal_x, goal_y = shared_goal(person, mind, arm.hand_x, arm.hand_y, felt[0], felt[1])
+        goal_x, goal_y = shared_goal(person, mind, arm.sensed_x, arm.sensed_y, felt[0], felt[1])
     begin_plan(arm, person, goal_x, goal_y, vx * gain_x, vy * gain_y, seconds)
+    put_right(arms[2], arm)
+    put_right(arms[3], shadow)
 
 
 @njit(cache=True)
-def think(person, mind, arm, shadow, percept, before, felt, variant, table, path, worth, rng, index):
+def think(person, mind, arms, percept, before, felt, variant, mentors, table, path, worth, rng, index):
     """Notice what happens, decide if it asks for it, and plan when it is time. `before` is the percept a tick older."""
-    tick = table.tick
-    paddle_x, _ = to_table(arm.hand_x, arm.hand_y, table)
+    arm, tick = arms[0], table.tick
+    paddle_x, _ = to_table(arm.sensed_x, arm.sensed_y, table)
     situation = situation_of(person, percept, paddle_x, table)
-    kick = hypot(percept[PUCK + 2] - before[PUCK + 2], percept[PUCK + 3] - before[PUCK + 3])
+    event = surprising(person, percept, before, tick)
     struck = mind.strike_left < -person.strike_over
     if struck:
         mind.strike_left = np.inf
-    if situation != mind.situation or kick > person.kick or struck or mind.dwell_left <= 0.0:
-        mind.situation = situation
-        decide(person, mind, arm, percept, situation, table, path, worth, rng, index)
+    if mind.told == NOTHING:
+        if situation != mind.situation or event or struck or mind.dwell_left <= 0.0:
+            mind.situation = situation
+            decide(person, mind, arm, percept, situation, mentors, table, path, worth, rng, index)
+    elif mind.intention != mind.told and mind.switch_left < 0.0 and event:  # the signal to begin; nothing to choose
+        unsteady = exp(person.delay_noise * standard_normal(rng, index))
+        mind.next_intention, mind.switch_left = mind.told, person.decision_floor * unsteady
     if mind.switch_left >= 0.0:
         mind.switch_left -= tick
         if mind.switch_left < 0.0:
@@ -171,7 +226,7 @@ def think(person, mind, arm, shadow, percept, before, felt, variant, table, path
             mind.strike_left = np.inf
             mind.plan_left = 0.0
     if mind.plan_left < 0.5 * tick:
-        plan(person, mind, arm, shadow, percept, felt, variant, table, path, rng, index)
+        plan(person, mind, arms, percept, felt, variant, table, path, rng, index)
     mind.plan_left -= tick
     mind.strike_left -= tick
     mind.dwell_left -= tick
@@ -185,14 +240,18 @@ def _perceived_force(person, felt, row, out):
 
 
 @njit(cache=True)
-def play(people, minds, arms, tallies, seen, felt, partner, trail, state, force, variant, table, rng, action):
+def play(
+    people, minds, arms, tallies, seen, felt, off, partner, trail, mentors, state, force, variant, table, rng, action
+):
     """One tick of everyone.
 
     Args:
         people, minds, tallies: (n,) records.
-        arms: (n, 2) records, the arm and its shadow.
-        seen (n, ring, 12), felt (n, ring, 2), partner (n, ring, 2), trail (n, ring, 4): the last ticks of the
-            states, the forces, the goals read from them, and the two hands; row `age % ring` is the present.
+        arms: (n, 4) records: the arm, its shadow, and the forward model of each.
+        seen (n, ring, 12), felt (n, ring, 2), off (n, ring, 2, 4), partner (n, ring, 2), trail (n, ring, 4): the last
+            ticks of the states, the forces, what the two hands' models do not explain, the goals read from the forces,
+            and the two hands; row `age % ring` is the present.
+        mentors: `Mentors`.
         state: (n, 12), force: (n, 2) N.
         variant: the `Variant`.
         table: the `Table`.
@@ -205,11 +264,17 @@ def play(people, minds, arms, tallies, seen, felt, partner, trail, state, force,
     path, worth, now = np.empty((LOOK_AHEAD, 4)), np.empty(INTENTIONS), np.empty(2)
     for index in range(len(people)):
         person, mind, tally = people[index], minds[index], tallies[index]
-        arm, shadow = arms[index, 0], arms[index, 1]
+        arm, shadow, arm_model, shadow_model = arms[index, 0], arms[index, 1], arms[index, 2], arms[index, 3]
         age = mind.age
         row = age % ring
         seen[index, row] = state[index]
         felt[index, row] = force[index]
+
+        felt_late = max(age - _ticks(person.proprioceptive_delay, tick), 0) % ring
+        unexpected(arm, arm_model, off[index, row, 0])
+        unexpected(shadow, shadow_model, off[index, row, 1])
+        sense(arm, arm_model, off[index, felt_late, 0])
+        sense(shadow, shadow_model, off[index, felt_late, 1])
 
         touched = age - _ticks(person.touch_delay, tick)
         now[:] = 0.0
@@ -221,14 +286,17 @@ def play(people, minds, arms, tallies, seen, felt, partner, trail, state, force,
             before = seen[index, max(looked - 1, 0) % ring]
             if looked == 0:
                 mind.plan_left = 0.0
-            think(person, mind, arm, shadow, percept, before, now, variant, table, path, worth, rng, index)
+            think(person, mind, arms[index], percept, before, now, variant, mentors, table, path, worth, rng, index)
 
         answer(person, mind, arm.hand_x, arm.hand_y, now[0], now[1], variant, tick)
         stiffness = stiffness_now(person, mind)
         for _ in range(SUBSTEPS):
             draw_motor_noise(person, mind, dt, rng, index)
-            move_arm(arm, person, mind, stiffness, mind.push_x, mind.push_y, force[index, 0], force[index, 1], dt)
-            move_arm(shadow, person, mind, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
+            along, across, push_x, push_y = mind.noise_along, mind.noise_across, mind.push_x, mind.push_y
+            move_arm(arm, person, along, across, stiffness, push_x, push_y, force[index, 0], force[index, 1], dt)
+            move_arm(shadow, person, along, across, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
+            move_arm(arm_model, person, 0.0, 0.0, stiffness, push_x, push_y, 0.0, 0.0, dt)
+            move_arm(shadow_model, person, 0.0, 0.0, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
 
         trail[index, row, 0], trail[index, row, 1] = arm.hand_x, arm.hand_y
         trail[index, row, 2], trail[index, row, 3] = shadow.hand_x, shadow.hand_y

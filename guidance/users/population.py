@@ -60,13 +60,16 @@ class Population:
     leaving: float
     out_of_reach: float
     kick: Positive
+    leap: Positive
     # deciding
     decision_floor: float
     decision_delay: LogNormal
+    delay_noise: float
     choice_temperature: LogNormal
     dwell: LogNormal
     idle: float
     staying: float
+    advice: float
     strike_over: float
     worth: Mapping[str, Sequence[float]]
     # placing oneself
@@ -114,6 +117,7 @@ class Population:
     damping_time: float
     # answering a force
     touch_delay: LogNormal
+    proprioceptive_delay: float
     felt_from: float
     aim_size: Positive
     full_conflict: Positive

@@ -33,7 +33,7 @@ from guidance.maml import MAML, forward, meta_loss, parameters
 from guidance.models import Models
 from guidance.study import run_study
 from guidance.user_model import prediction_loss
-from guidance.users import sample_people
+from guidance.users import load_mentors, sample_people
 from tests.benchmarks.peer_trpo import peer_frames
 
 
@@ -145,6 +145,7 @@ def study() -> float:
         lookahead_seconds=cfg.guidance.lookahead,
         table=Table(),
         variant=cfg.users.variant,
+        mentors=load_mentors(cfg.users.mentors),
         rating_scales=dict(cfg.users.scales),
         seed=cfg.seed,
     )
