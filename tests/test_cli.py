@@ -193,7 +193,11 @@ def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
         ("train", "env.backend=gym", "env.backend = 'gym'"),
         ("train", "league.sampler.delta=2", "delta = 2"),
         ("train", "league.anchors=[goalie]", "league.anchors: 'goalie' must be one of random, defender, striker"),
-        ("train", "league=nobody", "league = nobody must be one of delta_uniform, latest, mixture, pfsp, uniform"),
+        (
+            "train",
+            "league=nobody",
+            "league = nobody must be one of curriculum, delta_uniform, latest, mixture, pfsp, uniform",
+        ),
         ("train", "algorithm.fisher_share=2", "algorithm.fisher_share = 2"),
         ("train", "algorithm=dqn", "algorithm = dqn must be one of ppo, sac, trpo"),
         ("train", "hidden=[]", "hidden"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airhockey_marl.samplers import Anchors, DeltaUniform, Latest, Mixture, Prioritized, Standing
+from airhockey_marl.samplers import Anchors, Curriculum, DeltaUniform, Latest, Mixture, Prioritized, Standing
 
 UNKNOWN = Standing(generations=4, anchors=2, win_rates=np.full(6, 0.5))
 
@@ -28,6 +28,13 @@ def test_prioritized_prefers_whoever_wins_or_whoever_is_an_equal():
 def test_a_mixture_gives_each_its_share():
     mixture = Mixture([Latest(), Anchors()], [3.0, 1.0])
     assert mixture.chances(UNKNOWN).tolist() == [0, 0, 0, 0.75, 0.125, 0.125]
+
+
+def test_a_curriculum_changes_over_once():
+    curriculum = Curriculum(Latest(), Anchors(), generation=5)
+    assert curriculum.chances(UNKNOWN).tolist() == Latest().chances(UNKNOWN).tolist()
+    grown = Standing(generations=5, anchors=1, win_rates=np.full(6, 0.5))
+    assert curriculum.chances(grown).tolist() == [0, 0, 0, 0, 0, 1]
 
 
 def test_chances_sum_to_one():
