@@ -14,6 +14,7 @@ from tensordict import TensorDict
 
 from airhockey_marl.files import replacing, sha256
 from airhockey_marl.table import Table
+from guidance.demonstrations import hand_speed, round_begins
 from guidance.user_model import Demonstrations
 from guidance.users.arm import HAND_REACH
 
@@ -101,14 +102,12 @@ def load(folder: Path | str) -> Demonstrations:
 
 def summary(data: Demonstrations, table: Table) -> pd.DataFrame:
     """A row per user: goals per minute, mean and SD of the hand's speed in m/s and of the paddle's place in m."""
-    rest = [-table.length / 4, 0.0, 0.0, 0.0, table.length / 4, 0.0, 0.0, 0.0, 0.0]  # both paddles, and the puck's x
-    begins = (data.observation[..., :9] == torch.tensor(rest)).all(dim=-1)  # a round, (users, games, ticks)
+    begins = round_begins(data.observation, table)
     goal, ahead = begins[..., 1:], data.observation[..., :-1, 8] > 0  # and before it the puck was on the other side
     minutes = begins[0].numel() * table.tick / 60
     found = {"scored_per_minute": (goal & ahead).sum((1, 2)) / minutes}
     found["conceded_per_minute"] = (goal & ~ahead).sum((1, 2)) / minutes
-    before = data.action.roll(1, dims=2).masked_fill(begins[..., None], 0.0)  # a round begins with the hand at 0
-    speed = (data.action - before).norm(dim=-1) * HAND_REACH / table.tick
+    speed = hand_speed(data, table)
     measured = {"hand_m_s": speed, "own_x_m": data.observation[..., 0], "own_y_m": data.observation[..., 1]}
     for name, values in measured.items():
         flat = values.flatten(1).double()

@@ -31,6 +31,7 @@ from guidance.models import Models
 from guidance.report import screen_table, write_report
 from guidance.study import Protocol, run_study
 from guidance.users import Population, load_mentors, sample_people
+from guidance.users.rating import RATINGS
 from guidance.users.reaction import Variant
 
 VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas", "pingouin")
@@ -60,6 +61,9 @@ def main(cfg: DictConfig) -> None:
         opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
         people = sample_people(cfg.participants, cfg.seed, population)
         mentors = load_mentors(cfg.users.mentors)
+        for name in cfg.users.withdrawn:
+            if name not in RATINGS:
+                raise ValueError(f"users.withdrawn: {name!r} must be one of {', '.join(RATINGS)}")
         if cfg.users.variant not in Variant.__members__:
             raise ValueError(f"users.variant = {cfg.users.variant!r} must be one of {', '.join(Variant.__members__)}")
     torch.set_num_threads(cfg.threads)

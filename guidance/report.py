@@ -160,13 +160,15 @@ def _present(trials: pd.DataFrame) -> list[str]:
 
 def _page(trials: pd.DataFrame, tests: pd.DataFrame, svg: bytes, manifest: Mapping[str, Any]) -> str:
     """Fill the template: here what is shown is chosen, there how it looks."""
-    comparison = compare_with_paper(tests)
+    withdrawn = _withdrawn(manifest)
+    comparison = compare_with_paper(tests, withdrawn)
     comparison["less"] = [_other(row.x, row.y, row.greater) for row in comparison.itertuples()]
     comparison["paper_less"] = [_other(row.x, row.y, row.paper_greater) for row in comparison.itertuples()]
     comparison["dz_toward_paper"] = comparison["dz"] * np.where(comparison["x"] == comparison["paper_greater"], 1, -1)
     findings = comparison[comparison["paper"] == "significant"]
-    tested = comparison["outcome"] != "not_tested"
-    ours = comparison.assign(tested=tested, greater=comparison["greater"].where(comparison["significant"], ""))
+    tested = ~comparison["outcome"].isin(("not_tested", "withdrawn"))
+    counts = comparison["significant"] & tested
+    ours = comparison.assign(tested=tested, greater=comparison["greater"].where(counts, ""))
     paper = comparison.assign(tested=True, greater=comparison["paper_greater"])
     by_chance, rerun = reference_points()
 
@@ -178,6 +180,7 @@ def _page(trials: pd.DataFrame, tests: pd.DataFrame, svg: bytes, manifest: Mappi
         types={"a": "NHG", "c": "OAHG", "f": "UPHG", "i": "CombHG"},
         metrics=METRICS,
         evidence=EVIDENCE,
+        withdrawn=withdrawn,
         absent=[name for name in CONDITIONS if name not in _present(trials)],
         untested_families=[family for family in FAMILIES if family not in set(tests["family"])],
         counts=summary(comparison).to_dict("index"),
@@ -197,6 +200,12 @@ def _page(trials: pd.DataFrame, tests: pd.DataFrame, svg: bytes, manifest: Mappi
         paper_answers=answers(paper),
         manifest=manifest,
     )
+
+
+def _withdrawn(manifest: Mapping[str, Any]) -> list[str]:
+    """The metrics that the study's configuration withdraws; of merged runs, which are of one study, any will do."""
+    manifest = next(iter(manifest["runs"].values()), {}) if "runs" in manifest else manifest
+    return list(manifest.get("config", {}).get("users", {}).get("withdrawn", []))
 
 
 def _other(x: str, y: str, letter: str) -> str:
@@ -252,7 +261,7 @@ def main(cfg: DictConfig) -> None:
     manifest = next(iter(manifests.values())) if len(files) == 1 else {"runs": manifests}
     tests = write_report(trials, folder, manifest | {"trials_sha256": {str(file): sha256(file) for file in files}})
     print(screen_table(trials))
-    counts = summary(compare_with_paper(tests))
+    counts = summary(compare_with_paper(tests, _withdrawn(manifest)))
     everything, others = counts.loc["all"], counts.loc["none"]
     print(f"\n{everything.replicated} of the paper's 38 findings replicate ({everything.tested} tested),", end=" ")
     print(f"{everything.reversed} reversed; {others.wrongly_significant} of its 63 non-findings are significant here")

@@ -9,6 +9,7 @@ correction. The four ratings are proxies computed from simulated people; every r
 because pingouin rounds the confidence interval to two decimals.
 """
 
+from collections.abc import Collection
 from itertools import combinations
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -203,8 +204,12 @@ def published(table: str) -> pd.DataFrame:
     return pd.read_csv(PAPER / f"{table}.csv", dtype={"p_reported": "str"})
 
 
-def compare_with_paper(tests: pd.DataFrame) -> pd.DataFrame:
+def compare_with_paper(tests: pd.DataFrame, withdrawn: Collection[str] = ()) -> pd.DataFrame:
     """Put the result of `run_tests` beside the paper's 101 pairs: 38 findings (Tables 2 and 3) and 63 non-findings.
+
+    Args:
+        tests: from `run_tests`.
+        withdrawn: metrics that do not count, because they failed before the study.
 
     Returns:
         One row per pair of the paper, the findings first. The paper's side: `family`, `metric`, `kind`, `x`, `y`, `id`
@@ -213,7 +218,7 @@ def compare_with_paper(tests: pd.DataFrame) -> pd.DataFrame:
         gives the printed p). Ours: `n`, `mean_difference` (x - y), `ci_low`, `ci_high`, `dz`, `p` (corrected), `gated`,
         `significant`, `greater` (letter with the larger mean), `outcome`. For a finding, `outcome` is replicated
         (significant with the same sign), reversed (significant with the opposite sign) or not_significant; for a
-        non-finding wrongly_significant or agrees; not_tested where no test could be computed.
+        non-finding wrongly_significant or agrees; not_tested where no test could be computed; withdrawn by the metric.
     """
     findings = published("findings")[["id", "table", "evidence", "dz_min"]].rename(columns={"dz_min": "dz_paper"})
     paper = published("grid").merge(findings, on="id", how="left")
@@ -232,13 +237,14 @@ def compare_with_paper(tests: pd.DataFrame) -> pd.DataFrame:
     same_sign = both["greater"].eq(both["paper_greater"])
     both["outcome"] = np.select(
         [
+            both["metric"].isin(withdrawn),
             both["p"].isna(),
             finding & both["significant"] & same_sign,
             finding & both["significant"],
             finding,
             both["significant"],
         ],
-        ["not_tested", "replicated", "reversed", "not_significant", "wrongly_significant"],
+        ["withdrawn", "not_tested", "replicated", "reversed", "not_significant", "wrongly_significant"],
         "agrees",
     )
     return both.sort_values("id", key=lambda ids: ids.replace("", "~"), kind="stable", ignore_index=True)
@@ -256,12 +262,11 @@ def summary(comparison: pd.DataFrame) -> pd.DataFrame:
         "all": finding,
         "none": ~finding,
     }
+    tested = ~comparison["outcome"].isin(("not_tested", "withdrawn"))
+    outcomes = ("replicated", "reversed", "wrongly_significant")
     counts = {
-        evidence: {"cells": int(chosen.sum()), "tested": int((chosen & comparison["outcome"].ne("not_tested")).sum())}
-        | {
-            outcome: int((chosen & comparison["outcome"].eq(outcome)).sum())
-            for outcome in ("replicated", "reversed", "wrongly_significant")
-        }
+        evidence: {"cells": int(chosen.sum()), "tested": int((chosen & tested).sum())}
+        | {outcome: int((chosen & comparison["outcome"].eq(outcome)).sum()) for outcome in outcomes}
         for evidence, chosen in groups.items()
     }
     return pd.DataFrame.from_dict(counts, orient="index").rename_axis("evidence")

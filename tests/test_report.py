@@ -334,3 +334,19 @@ def test_command_names_what_is_wrong(sweep, tmp_path):
     done = report_command(f"runs={sweep}", cwd=tmp_path)
     assert done.returncode == 2
     assert done.stderr.strip() == "error: every participant must have played every condition: S01 lacks uphg"
+
+
+def test_withdrawn_proxies_count_for_nothing(trials, tmp_path):
+    whole, less = tmp_path / "whole", tmp_path / "less"
+    tests = write_report(trials, whole, {"config": {"users": {"withdrawn": []}}})
+    write_report(trials, less, {"config": {"users": {"withdrawn": ["comfort", "helpfulness"]}}})
+    page = (less / "report.html").read_text()
+    assert "Withdrawn:" in page and "Withdrawn:" not in (whole / "report.html").read_text()
+    counted, all_counted = (
+        summary(compare_with_paper(tests, withdrawn)) for withdrawn in (["comfort", "helpfulness"], [])
+    )
+    proxies = published("findings")["metric"].isin(["comfort", "helpfulness"])
+    assert all_counted.loc["all", "tested"] - counted.loc["all", "tested"] == proxies.sum() > 0
+    assert counted.loc["M"].equals(all_counted.loc["M"])
+    answered = page[page.index("<h4>Here</h4>") : page.index("<h4>Paper</h4>")]
+    assert "comfort" not in answered and "helpfulness" not in answered

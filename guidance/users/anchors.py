@@ -1,24 +1,26 @@
-"""What the signals behind the rating proxies are worth under three forces that are fixed before any condition runs.
+"""What the signals behind the rating proxies are worth under four forces that are fixed before any condition runs.
 
-    oracle-intent: a spring toward the person's own, private goal
-    random-direction: as strong at every moment, in a direction that changes every 0.3 s
-    anti-intent: the oracle's force reversed
+    oracle: a spring toward the person's own, private goal
+    replayed: the oracle's force on somebody else in another game: alike in size and course, and about nothing here
+    random: as strong at every moment as the oracle's, in a direction that changes every 0.3 s
+    anti: the oracle's force reversed
 
-They look into the person, which no guidance may; they are the measuring rod, not a condition.
+They look into the person, which no guidance may; they are the measuring rod, not a condition. In this order they get
+worse: a proxy that does not say so is withdrawn (`ordered`).
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 
 import numpy as np
 
 from airhockey_marl.table import LEFT, RIGHT, Table
 from airhockey_marl.tables import Tables
-from guidance.users.mentors import Mentors
+from guidance.users.mentors import NO_MENTORS, Mentors
 from guidance.users.people import Users
-from guidance.users.rating import SIGNALS
+from guidance.users.rating import RATINGS, SIGNALS
 from guidance.users.sampling import personal_streams
 
-ANCHORS = ("oracle", "random", "anti")
+ANCHORS = ("oracle", "replayed", "random", "anti")  # from the best to the worst
 ANCHOR_STIFFNESS = 50.0  # N/m
 ANCHOR_STRONGEST = 3.0  # N
 RANDOM_HELD = 0.3  # s
@@ -36,15 +38,11 @@ SCALED_BY = {
 }
 
 
-def anchor_force(users: Users, anchor: str, angle: np.ndarray) -> np.ndarray:
-    """(n, 2) N for one tick; `angle` (n,) rad is the direction of the random anchor."""
+def oracle_force(users: Users) -> np.ndarray:
+    """(n, 2) N toward each one's own goal."""
     force = ANCHOR_STIFFNESS * (users.goal - users.hand)
     size = np.hypot(force[:, 0], force[:, 1])
-    strength = np.minimum(size, ANCHOR_STRONGEST)
-    if anchor == "random":
-        return strength[:, None] * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    force *= (strength / np.maximum(size, 1e-12))[:, None]
-    return force if anchor == "oracle" else -force
+    return force * (np.minimum(size, ANCHOR_STRONGEST) / np.maximum(size, 1e-12))[:, None]
 
 
 def play_anchor(
@@ -60,7 +58,7 @@ def play_anchor(
     """One game of `seconds` of everyone (left seat) under one anchor force against `opponent` (right seat).
 
     Args:
-        people: (n,) of dtype `PERSON`.
+        people: (n,) of dtype `PERSON`; two at least for "replayed".
         opponent: (n, 12) float64 egocentric states -> (n, 2) actions.
         anchor: one of `ANCHORS`, or "none".
 
@@ -74,20 +72,54 @@ def play_anchor(
         raise ValueError(f"anchor = {anchor!r} must be one of {', '.join(ANCHORS)}, none")
     if not seconds > 0:
         raise ValueError(f"seconds = {seconds} must be above 0")
+    table = table or Table()
+    rng, n = np.random.default_rng([seed, (*ANCHORS, "none").index(anchor)]), len(people)
+    held, angle = max(1, round(RANDOM_HELD / table.tick)), np.zeros(n)
+    course: list[np.ndarray] = []
+
+    def push(users: Users, tick: int) -> np.ndarray:
+        nonlocal angle
+        if tick % held == 0:
+            angle = rng.uniform(-np.pi, np.pi, n)
+        if anchor == "none":
+            return np.zeros((n, 2))
+        if anchor == "replayed":
+            return course[tick]
+        force = oracle_force(users)
+        if anchor == "random":
+            return np.hypot(force[:, :1], force[:, 1:]) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+        return force if anchor == "oracle" else -force
+
+    def remember(users: Users, tick: int) -> np.ndarray:
+        force = oracle_force(users)
+        course.append(np.roll(force, 1, axis=0))  # the neighbour's
+        return force
+
+    ticks, how = round(seconds / table.tick), (table, variant, mentors or NO_MENTORS)
+    if anchor == "replayed":
+        play_pushed(people, opponent, remember, ticks, seed + 1, *how)
+    return play_pushed(people, opponent, push, ticks, seed, *how)
+
+
+def play_pushed(
+    people: np.ndarray,
+    opponent: Callable[[np.ndarray], np.ndarray],
+    push: Callable[[Users, int], np.ndarray],
+    ticks: int,
+    seed: int,
+    table: Table,
+    variant: str,
+    mentors: Mentors,
+) -> Users:
+    """Let everyone play while `push`, told who they are and the number of the tick, says the forces (n, 2) in N."""
     n = len(people)
     tables = Tables(n, table)
     tables.seed(seed)
     tables.new_rounds()
-    users = Users(people, personal_streams(n, seed), tables.table, variant, mentors)
-    rng = np.random.default_rng([seed, ANCHORS.index(anchor) if anchor in ANCHORS else len(ANCHORS)])
+    users = Users(people, personal_streams(n, seed), table, variant, mentors)
     left, right, actions = np.zeros((n, 12)), np.zeros((n, 12)), np.zeros((n, 2, 2))
-    force, angle = np.zeros((n, 2)), np.zeros(n)
-    held = max(1, round(RANDOM_HELD / tables.table.tick))
-    for tick in range(round(seconds / tables.table.tick)):
-        if tick % held == 0:
-            angle = rng.uniform(-np.pi, np.pi, n)
-        if anchor != "none":
-            force = anchor_force(users, anchor, angle)
+    for tick in range(ticks):
+        force = push(users, tick)
         actions[:, LEFT] = users.step(tables.observe(LEFT, left), force)
         actions[:, RIGHT] = opponent(tables.observe(RIGHT, right))
         tables.step(actions)
@@ -96,6 +128,16 @@ def play_anchor(
             tables.new_rounds(over)
             users.new_round(over)
     return users
+
+
+def ordered(appraised: Mapping[str, np.ndarray]) -> dict[str, bool]:
+    """Whether each rating falls, on average over people, from `oracle` over `replayed` and `random` to `anti`.
+
+    Args:
+        appraised: per anchor the z-scores (n, 4) of `rating.appraisals`.
+    """
+    means = np.stack([appraised[anchor].mean(axis=0) for anchor in ANCHORS])
+    return dict(zip(RATINGS, (np.diff(means, axis=0) <= 0).all(axis=0).tolist(), strict=True))
 
 
 def anchor_scales(

@@ -229,7 +229,9 @@ def timing_errors(people: np.ndarray, trials: int = 30, seed: int = 0) -> np.nda
     return np.where(valid, TABLE.tick * np.clip(part, 0.0, 1.0) - planned, np.nan)
 
 
-def mechanics(people: np.ndarray, trials: int = 4, seconds: float = 10.0, seed: int = 0) -> np.ndarray:
+def mechanics(
+    people: np.ndarray, trials: int = 4, seconds: float = 10.0, variant: str = "V1", seed: int = 0
+) -> np.ndarray:
     """(people, 3) mass in kg, damping in N s/m and stiffness in N/m of a hand that holds still, from small pushes.
 
     A random force of 0.5 N either way that changes every 60 ms, and the least-squares fit of F = M x'' + B x' + K x.
@@ -239,7 +241,7 @@ def mechanics(people: np.ndarray, trials: int = 4, seconds: float = 10.0, seed: 
     shape = (len(people), trials)
     force = 0.5 * rng.choice([-1.0, 1.0], (*shape, -(-ticks // held), 2)).repeat(held, axis=2)[:, :, :ticks]
     force[:, :, :50] = 0.0
-    record = observe(people, Intention.REACH, resting_marks(shape, ticks), force, seed=seed)
+    record = observe(people, Intention.REACH, resting_marks(shape, ticks), force, variant, seed)
     return np.array([_fit(*person) for person in zip(record.force, record.hand, record.velocity, strict=True)])
 
 

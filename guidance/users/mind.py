@@ -15,6 +15,7 @@ MIND = np.dtype(
         ("situation", np.int64),
         ("threatened", np.int64),  # expects the puck in the own goal
         ("aim", np.float64),  # where in the goal's mouth, or off the middle of it at home, in -1..1
+        ("depth", np.float64),  # how far before or behind the usual place, in -1..1
         ("sees_bounces", np.int64),  # anticipates the walls for this shot
         ("strike_left", np.float64),  # until the planned contact; inf: none planned
         # the errors of this plan's percept, each N(0, 1)

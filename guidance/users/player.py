@@ -67,7 +67,7 @@ def begin_round(person, mind, arms):
     mind.dwell_left = np.inf
     mind.situation = -1
     mind.threatened = 0
-    mind.aim = 0.0
+    mind.aim = mind.depth = 0.0
     mind.sees_bounces = 1
     mind.strike_left = np.inf
     mind.speed_error = mind.heading_error = mind.bounce_error = 0.0
@@ -75,6 +75,13 @@ def begin_round(person, mind, arms):
     mind.goal_x = mind.goal_y = 0.0
     mind.noise_left = mind.noise_along = mind.noise_across = 0.0
     mind.push_x = mind.push_y = mind.partner_x = mind.partner_y = 0.0
+
+
+@njit(cache=True)
+def aim_anew(mind, rng, index):
+    """Draw where to aim, and where to stand."""
+    mind.aim = 2.0 * random_unit(rng, index) - 1.0
+    mind.depth = 2.0 * random_unit(rng, index) - 1.0
 
 
 @njit(cache=True)
@@ -91,7 +98,7 @@ def decide(person, mind, arm, percept, situation, mentors, table, path, worth, r
     if drawn == mind.intention:
         mind.switch_left = -1.0
         if drawn <= Intention.PRESS:
-            mind.aim = 2.0 * random_unit(rng, index) - 1.0
+            aim_anew(mind, rng, index)
     elif mind.switch_left < 0.0 or drawn != mind.next_intention:
         mind.next_intention, mind.switch_left = drawn, person.decision_delay * unsteady
 
@@ -130,11 +137,11 @@ def find_move(person, mind, arm, percept, path, table):
     intention = mind.intention
     home = guard_x(person, table)
     puck_x, puck_y = path[0, 0], path[0, 1]
-    x, y = home, person.stray * mind.aim
+    x, y = home + 0.5 * person.stray * mind.depth, person.stray * mind.aim
     if intention == Intention.SHADOW:
         y = clamp(person.follow * puck_y + person.stray * mind.aim, -table.goal / 2, table.goal / 2)
     elif intention == Intention.PRESS:
-        x = -person.press_at
+        x = -person.press_at - person.stray * (1.0 + mind.depth)
         y = puck_y * (table.length / 2 + x) / max(table.length / 2 + puck_x, 0.5) + person.stray * mind.aim
     elif intention == Intention.BLOCK:
         x, y, comes = block(person, path, table)
@@ -222,7 +229,7 @@ def think(person, mind, arms, percept, before, felt, variant, mentors, table, pa
         mind.switch_left -= tick
         if mind.switch_left < 0.0:
             mind.intention = mind.next_intention
-            mind.aim = 2.0 * random_unit(rng, index) - 1.0
+            aim_anew(mind, rng, index)
             mind.strike_left = np.inf
             mind.plan_left = 0.0
     if mind.plan_left < 0.5 * tick:
