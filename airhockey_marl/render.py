@@ -1,5 +1,8 @@
 """The table from above, as pixels."""
 
+from functools import lru_cache
+from typing import NamedTuple
+
 import numpy as np
 from PIL import Image, ImageDraw
 
@@ -9,6 +12,67 @@ from airhockey_marl.table import LEFT, PUCK, RIGHT, Table, X, Y
 FELT, LINE, RIM, GOAL_MOUTH = (245, 246, 248), (170, 190, 205), (70, 78, 88), (255, 255, 255)
 COLOURS = {LEFT: (0, 114, 178), RIGHT: (213, 94, 0), PUCK: (35, 35, 35)}
 SMOOTHING = 3  # drawn so many times larger, then scaled down
+MARGIN = 0.04  # m of rim around the playing field
+
+
+class View(NamedTuple):
+    """Which pixel of a picture, `SMOOTHING` times too large, shows which place of the table.
+
+    Attributes:
+        width: pixels of the finished picture.
+    """
+
+    table: Table
+    width: int
+
+    @property
+    def scale(self) -> float:
+        """Pixels per m."""
+        return SMOOTHING * self.width / (self.table.length + 2 * MARGIN)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return SMOOTHING * self.width, round((self.table.width + 2 * MARGIN) * self.scale)
+
+    def pixel(self, x: float, y: float) -> tuple[float, float]:
+        """Of a place in m."""
+        return (x + self.table.length / 2 + MARGIN) * self.scale, (self.table.width / 2 + MARGIN - y) * self.scale
+
+    def box(self, x: float, y: float, radius: float, radius_y: float | None = None) -> tuple[float, ...]:
+        """Left, top, right and bottom of a circle, or with `radius_y` of an ellipse, of radii in m."""
+        radius_y = radius if radius_y is None else radius_y
+        return *self.pixel(x - radius, y + radius_y), *self.pixel(x + radius, y - radius_y)
+
+
+@lru_cache(maxsize=4)
+def _empty_table(view: View) -> Image.Image:
+    table = view.table
+    image = Image.new("RGB", view.size, RIM)
+    pen = ImageDraw.Draw(image)
+    pen.rectangle(view.box(0, 0, table.length / 2, table.width / 2), fill=FELT)
+    for end in (-1, 1):
+        inner, outer = sorted((end * table.length / 2, end * (table.length / 2 + MARGIN)))
+        pen.rectangle((*view.pixel(inner, table.goal / 2), *view.pixel(outer, -table.goal / 2)), fill=GOAL_MOUTH)
+        angles = (90, 270) if end > 0 else (270, 90)
+        pen.arc(view.box(end * table.length / 2, 0.0, table.goal), *angles, fill=LINE, width=6)
+    pen.line((view.pixel(0, table.width / 2), view.pixel(0, -table.width / 2)), fill=LINE, width=6)
+    pen.ellipse(view.box(0, 0, 0.15), outline=LINE, width=6)
+    return image
+
+
+def empty_table(view: View) -> Image.Image:
+    """A table without anything on it, `SMOOTHING` times too large, to draw on."""
+    return _empty_table(view).copy()
+
+
+def draw_bodies(pen: ImageDraw.ImageDraw, view: View, bodies: np.ndarray) -> None:
+    """Draw the puck and the paddles, `bodies` (3, 4) or (3, 2); the left seat is blue, the right one orange."""
+    for body in (PUCK, LEFT, RIGHT):
+        radius = view.table.puck_radius if body == PUCK else view.table.paddle_radius
+        pen.ellipse(view.box(bodies[body, X], bodies[body, Y], radius), fill=COLOURS[body])
+        if body != PUCK:  # the handle
+            pen.ellipse(view.box(bodies[body, X], bodies[body, Y], radius / 2), fill=FELT)
 
 
 def draw_table(bodies: np.ndarray, table: Table, width: int = 640) -> np.ndarray:
@@ -17,32 +81,7 @@ def draw_table(bodies: np.ndarray, table: Table, width: int = 640) -> np.ndarray
     Returns:
         (height, width, 3) uint8.
     """
-    margin = 0.04  # m of rim around the playing field
-    scale = SMOOTHING * width / (table.length + 2 * margin)
-    size = (SMOOTHING * width, round((table.width + 2 * margin) * scale))
-
-    def pixel(x: float, y: float) -> tuple[float, float]:
-        return (x + table.length / 2 + margin) * scale, (table.width / 2 + margin - y) * scale
-
-    def box(x: float, y: float, radius: float) -> tuple[float, float, float, float]:
-        left, top = pixel(x - radius, y + radius)
-        right, bottom = pixel(x + radius, y - radius)
-        return left, top, right, bottom
-
-    image = Image.new("RGB", size, RIM)
-    pen = ImageDraw.Draw(image)
-    pen.rectangle((*pixel(-table.length / 2, table.width / 2), *pixel(table.length / 2, -table.width / 2)), fill=FELT)
-    for end in (-1, 1):
-        inner, outer = sorted((end * table.length / 2, end * (table.length / 2 + margin)))
-        pen.rectangle((*pixel(inner, table.goal / 2), *pixel(outer, -table.goal / 2)), fill=GOAL_MOUTH)
-        pen.arc(
-            box(end * table.length / 2, 0.0, table.goal), *((90, 270) if end > 0 else (270, 90)), fill=LINE, width=6
-        )
-    pen.line((pixel(0, table.width / 2), pixel(0, -table.width / 2)), fill=LINE, width=6)
-    pen.ellipse(box(0, 0, 0.15), outline=LINE, width=6)
-    for body in (PUCK, LEFT, RIGHT):
-        radius = table.puck_radius if body == PUCK else table.paddle_radius
-        pen.ellipse(box(bodies[body, X], bodies[body, Y], radius), fill=COLOURS[body])
-        if body != PUCK:  # the handle
-            pen.ellipse(box(bodies[body, X], bodies[body, Y], radius / 2), fill=FELT)
-    return np.asarray(image.resize((width, size[1] // SMOOTHING), Image.Resampling.BOX))
+    view = View(table, width)
+    image = empty_table(view)
+    draw_bodies(ImageDraw.Draw(image), view, bodies)
+    return np.asarray(image.resize((width, image.height // SMOOTHING), Image.Resampling.BOX))

@@ -57,18 +57,20 @@ MEASURES = {
 def main(cfg: DictConfig) -> None:
     with input_errors():
         require_counts(cfg, "threads")
-        require_counts(cfg, "people", "per_style", least=2)
+        require_counts(cfg, "laboratory", "per_style", least=2)
         require_counts(cfg, "seed", least=0)
-        require_numbers(cfg, "seconds", least=10.0)
+        require_numbers(cfg, "play_seconds", least=10.0)
         if cfg.users.variant not in Variant.__members__:
             raise InputError(f"users.variant = {cfg.users.variant!r} must be one of {', '.join(Variant.__members__)}")
         population: Population = hydra.utils.instantiate(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
         opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
     torch.set_num_threads(cfg.threads)
-    people = sample_people(cfg.people, cfg.seed, population)
+    people = sample_people(cfg.laboratory, cfg.seed, population)
     found, data = in_the_laboratory(people, cfg.users.variant, cfg.seed)
-    styles, play = at_the_table(population, cfg.per_style, cfg.seconds, opponent, cfg.users.variant, mentors, cfg.seed)
+    styles, play = at_the_table(
+        population, cfg.per_style, cfg.play_seconds, opponent, cfg.users.variant, mentors, cfg.seed
+    )
     skills = by_skill(population, 6 * cfg.per_style, opponent, cfg.users.variant, mentors, cfg.seed)
     table = as_table({**found, **styles, **skills})
     folder = Path(HydraConfig.get().runtime.output_dir)

@@ -15,7 +15,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from airhockey_marl import compare, league_report, train
 from airhockey_marl.files import load_tensors, save_tensors
 from airhockey_marl.policy import GaussianPolicy
-from guidance import evaluate, meta_train, report
+from guidance import battery, collect, evaluate, meta_train, report
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMANDS = {
@@ -25,6 +25,8 @@ COMMANDS = {
     "meta_train": meta_train,
     "evaluate": evaluate,
     "report": report,
+    "battery": battery,
+    "collect": collect,
 }
 
 
@@ -114,6 +116,15 @@ def test_tensorboard_shows_each_generation_once(trained):
     assert all([step for step, _ in values] == [1000, 2000] for values in shown.values())
 
 
+def test_the_battery_measures_and_draws(tmp_path):
+    done = smoke("guidance.battery", f"hydra.run.dir={tmp_path}")
+    table = pd.read_csv(tmp_path / "battery.csv")
+    assert len(table) == 15 and table["mean"].notna().all()
+    assert all(name in done.stdout for name in table["measure"])
+    for name in ("speeds", "push", "places", "shots"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+
+
 def test_a_league_is_reported_whole(trained, tmp_path):
     done = smoke("airhockey_marl.league_report", f"run={trained['league'].parent}", f"hydra.run.dir={tmp_path}")
     assert "beats generation 0: wins" in done.stdout
@@ -198,6 +209,13 @@ def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
             "league=nobody",
             "league = nobody must be one of curriculum, delta_uniform, latest, mixture, pfsp, uniform",
         ),
+        ("battery", "play_seconds=1", "play_seconds = 1 must be a number of at least 10.0"),
+        ("battery", "laboratory=1", "laboratory = 1 must be a whole number of at least 2"),
+        ("battery", "users.variant=V9", "users.variant = 'V9' must be one of V0, V1, V2"),
+        ("battery", "~users.population.worth.away_wait", "users.worth = ["),
+        ("battery", "users.population.leap=0", "users.leap = 0 must be a number above 0"),
+        ("evaluate", "users.withdrawn=[joy]", "users.withdrawn: 'joy' must be one of helpfulness"),
+        ("evaluate", "users.mentors=nobody.safetensors", "no such file: nobody.safetensors"),
         ("train", "algorithm.fisher_share=2", "algorithm.fisher_share = 2"),
         ("train", "algorithm=dqn", "algorithm = dqn must be one of ppo, sac, trpo"),
         ("train", "hidden=[]", "hidden"),

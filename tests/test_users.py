@@ -12,7 +12,7 @@ from airhockey_marl.table import LEFT, RIGHT, Table
 from airhockey_marl.tables import Tables
 from guidance.users import Population, Users, personal_streams, sample_people, training_people
 from guidance.users.anchors import ANCHORS, anchor_scales, ordered, play_anchor
-from guidance.users.arm import ARM, HAND_REACH, SUBSTEPS, begin_plan, hardest_acceleration, move_arm, rest
+from guidance.users.arm import ARM, HAND_REACH, STEADY, SUBSTEPS, begin_plan, hardest_acceleration, move_arm, rest
 from guidance.users.geometry import shot_direction, to_hand, to_table
 from guidance.users.intention import Intention, choose
 from guidance.users.laws import LogNormal
@@ -114,7 +114,7 @@ def test_the_arm_yields_to_a_force_by_its_stiffness():
     for stiffness in (person["stiffness"], 2 * person["stiffness"]):
         rest(arm, person)
         for _ in range(2000):
-            move_arm(arm, person, 0.0, 0.0, stiffness, 0.0, 0.0, 1.0, -2.0, 0.004)
+            move_arm(arm, person, STEADY, stiffness, 0.0, 0.0, 1.0, -2.0, 0.004)
         assert arm["hand_x"] == pytest.approx(1.0 / stiffness, rel=1e-3)
         assert arm["hand_y"] == pytest.approx(-2.0 / stiffness, rel=1e-3)
 
@@ -125,7 +125,7 @@ def test_the_arm_follows_a_reach_with_one_peak_of_speed():
     begin_plan(arm, person, 0.06, -0.03, 0.0, 0.0, 0.4)
     speed = []
     for _ in range(250):
-        move_arm(arm, person, 0.0, 0.0, person["stiffness"], 0.0, 0.0, 0.0, 0.0, 0.004)
+        move_arm(arm, person, STEADY, person["stiffness"], 0.0, 0.0, 0.0, 0.0, 0.004)
         speed.append(np.hypot(arm["hand_v_x"], arm["hand_v_y"]))
     assert (arm["hand_x"], arm["hand_y"]) == pytest.approx((0.06, -0.03), abs=1e-3)
     assert max(speed) == pytest.approx(1.5 * np.hypot(0.06, 0.03) / (0.4 - person["muscle_lag"]), rel=0.2)

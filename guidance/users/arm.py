@@ -38,6 +38,9 @@ ARM = np.dtype(
 )
 
 
+STEADY = (0.0, 0.0, 0.0, 0.0)  # no motor noise
+
+
 @njit(cache=True)
 def rest(arm, person):
     """The hand still at the centre, and nothing planned."""
@@ -175,16 +178,18 @@ def put_right(model, arm):
 
 @njit(cache=True)
 def draw_motor_noise(person, mind, dt, rng, index):
-    """Hold the motor noise for a while, then draw it anew: shares of speed along and across the motion."""
+    """Hold the motor noise for a while, then draw it anew: shares of speed along and across the motion; a tremor."""
     mind.noise_left -= dt
     if mind.noise_left < 0.5 * dt:
         mind.noise_left += person.noise_held
         mind.noise_along = person.noise_along * standard_normal(rng, index)
         mind.noise_across = person.noise_across * standard_normal(rng, index)
+        mind.tremor_x = person.tremor * standard_normal(rng, index)
+        mind.tremor_y = person.tremor * standard_normal(rng, index)
 
 
 @njit(cache=True)
-def move_arm(arm, person, noise_along, noise_across, stiffness, push_x, push_y, force_x, force_y, dt):
+def move_arm(arm, person, noise, stiffness, push_x, push_y, force_x, force_y, dt):
     """Move the hand by `dt`.
 
         (M_h + M_dev) x'' = a + F_v + K_h (r_exec - x) + B_h (r'_exec - x') + b_dev (r' - x') + F_HG
@@ -193,7 +198,7 @@ def move_arm(arm, person, noise_along, noise_across, stiffness, push_x, push_y, 
     The command runs ahead of the plan by the muscle's own lag, which a practised motor system has learned.
 
     Args:
-        noise_along, noise_across: of the plan's velocity, shares of its size.
+        noise: of the plan's velocity, four numbers: along and across it as shares of its size, then x and y in m/s.
         stiffness: K_h, N/m; its damping B_h grows with its root.
         push_x, push_y: F_v, what the person adds on purpose, N.
         force_x, force_y: F_HG, the force of the device on the hand, N.
@@ -202,8 +207,9 @@ def move_arm(arm, person, noise_along, noise_across, stiffness, push_x, push_y, 
     damping = person.damping_time * sqrt(person.stiffness * stiffness)
     arm.plan_age += dt
     plan_x, plan_y = _planned_velocity(arm, person, arm.plan_age)
-    exec_x = plan_x + plan_x * noise_along - plan_y * noise_across
-    exec_y = plan_y + plan_y * noise_along + plan_x * noise_across
+    along, across, tremor_x, tremor_y = noise
+    exec_x = plan_x + plan_x * along - plan_y * across + tremor_x
+    exec_y = plan_y + plan_y * along + plan_x * across + tremor_y
     arm.ref_x += exec_x * dt
     arm.ref_y += exec_y * dt
     want_x, want_y = _planned_acceleration(arm, person, arm.plan_age + person.muscle_lag)

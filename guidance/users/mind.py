@@ -29,6 +29,8 @@ MIND = np.dtype(
         ("noise_left", np.float64),  # until the motor noise is drawn again
         ("noise_along", np.float64),  # share of speed
         ("noise_across", np.float64),
+        ("tremor_x", np.float64),  # m/s
+        ("tremor_y", np.float64),
         # answer to the force
         ("co_contraction", np.float64),  # 0..1
         ("push_x", np.float64),

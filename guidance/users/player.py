@@ -12,6 +12,7 @@ from numba import njit
 from airhockey_marl.tables import random_unit
 from guidance.users.arm import (
     HAND_REACH,
+    STEADY,
     SUBSTEPS,
     begin_plan,
     draw_motor_noise,
@@ -73,7 +74,7 @@ def begin_round(person, mind, arms):
     mind.speed_error = mind.heading_error = mind.bounce_error = 0.0
     mind.plan_left = np.inf
     mind.goal_x = mind.goal_y = 0.0
-    mind.noise_left = mind.noise_along = mind.noise_across = 0.0
+    mind.noise_left = mind.noise_along = mind.noise_across = mind.tremor_x = mind.tremor_y = 0.0
     mind.push_x = mind.push_y = mind.partner_x = mind.partner_y = 0.0
 
 
@@ -139,7 +140,7 @@ def find_move(person, mind, arm, percept, path, table):
     puck_x, puck_y = path[0, 0], path[0, 1]
     x, y = home + 0.5 * person.stray * mind.depth, person.stray * mind.aim
     if intention == Intention.SHADOW:
-        y = clamp(person.follow * puck_y + person.stray * mind.aim, -table.goal / 2, table.goal / 2)
+        y = clamp(person.follow * puck_y, -table.goal / 2, table.goal / 2) + person.stray * mind.aim
     elif intention == Intention.PRESS:
         x = -person.press_at - person.stray * (1.0 + mind.depth)
         y = puck_y * (table.length / 2 + x) / max(table.length / 2 + puck_x, 0.5) + person.stray * mind.aim
@@ -299,11 +300,12 @@ def play(
         stiffness = stiffness_now(person, mind)
         for _ in range(SUBSTEPS):
             draw_motor_noise(person, mind, dt, rng, index)
-            along, across, push_x, push_y = mind.noise_along, mind.noise_across, mind.push_x, mind.push_y
-            move_arm(arm, person, along, across, stiffness, push_x, push_y, force[index, 0], force[index, 1], dt)
-            move_arm(shadow, person, along, across, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
-            move_arm(arm_model, person, 0.0, 0.0, stiffness, push_x, push_y, 0.0, 0.0, dt)
-            move_arm(shadow_model, person, 0.0, 0.0, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
+            noise = (mind.noise_along, mind.noise_across, mind.tremor_x, mind.tremor_y)
+            push_x, push_y = mind.push_x, mind.push_y
+            move_arm(arm, person, noise, stiffness, push_x, push_y, force[index, 0], force[index, 1], dt)
+            move_arm(shadow, person, noise, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
+            move_arm(arm_model, person, STEADY, stiffness, push_x, push_y, 0.0, 0.0, dt)
+            move_arm(shadow_model, person, STEADY, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
 
         trail[index, row, 0], trail[index, row, 1] = arm.hand_x, arm.hand_y
         trail[index, row, 2], trail[index, row, 3] = shadow.hand_x, shadow.hand_y

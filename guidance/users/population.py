@@ -104,6 +104,7 @@ class Population:
     noise_along: LogNormal
     noise_across: LogNormal
     noise_correlation: Share
+    tremor: float
     noise_held: Positive
     carry_through: float
     slow_down: Positive

@@ -33,7 +33,7 @@ from guidance.maml import MAML, forward, meta_loss, parameters
 from guidance.models import Models
 from guidance.study import run_study
 from guidance.user_model import prediction_loss
-from guidance.users import load_mentors, sample_people
+from guidance.users import Users, load_mentors, personal_streams, sample_people
 from tests.benchmarks.peer_trpo import peer_frames
 
 
@@ -133,6 +133,25 @@ def maml_steps(users: int = 9, ticks: int = 1000) -> tuple[float, float]:
     return 1000 * seconds(batched), 1000 * seconds(one_by_one)
 
 
+def people_tick(n: int, ticks: int = 200) -> float:
+    """ms that a tick of n simulated people with mentors takes, in play against others like them."""
+    mentors = load_mentors(config("evaluate").users.mentors)
+    sides = [Users(sample_people(n, seat), personal_streams(n, seat), Table(), "V1", mentors) for seat in (0, 1)]
+    tables, force, actions, spent = Tables(n), np.zeros((n, 2)), np.zeros((n, 2, 2)), 0.0
+    tables.new_rounds()
+    states = np.empty((2, n, 12))
+    for tick in range(ticks):
+        for seat in (0, 1):
+            tables.observe(seat, states[seat])
+        began = time.perf_counter()
+        actions[:, 0] = sides[0].step(states[0], force)
+        if tick >= ticks // 4:  # the first ticks compile, and nobody has seen anything yet
+            spent += time.perf_counter() - began
+        actions[:, 1] = sides[1].step(states[1], force)
+        tables.step(actions)
+    return 1000 * spent / (ticks - ticks // 4)
+
+
 def study() -> float:
     """The default study: 20 people, nine conditions, the shipped models."""
     cfg = config("evaluate")
@@ -171,6 +190,8 @@ def main() -> None:
         "trpo_over_sb3_contrib_with_all_states_in_the_fisher_matrix": best and round(equal_work / best, 2),
         "maml_ms_per_step": round(maml, 1),
         "maml_user_by_user_over_batched": round(maml_looped / maml, 2),
+        "people_tick_180_ms": round(people_tick(180), 3),
+        "people_tick_10000_over_180_per_person": round(people_tick(10_000) / people_tick(180) * 180 / 10_000, 2),
         "study_20_users_s": round(study(), 1),
     }
     print(json.dumps(figures, indent=2))

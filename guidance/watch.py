@@ -1,0 +1,211 @@
+"""Watch one simulated person play under one condition: what they want, what the models say, and the force.
+
+    python -m guidance.watch                              a striker under OAHG (UT), 20 s
+    python -m guidance.watch user=wall condition=nhg      somebody else, without guidance
+    python -m guidance.watch speed=0.4                    in slow motion
+    python -m guidance.watch user=null                    the first person of the study with this seed
+
+Writes into its run folder: watch.gif, watch.png (six of its moments) and watch.csv (a row per tick).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import partial
+from pathlib import Path
+
+import hydra
+import numpy as np
+import pandas as pd
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from tensordict import TensorDict
+from torch import Tensor
+
+from airhockey_marl.cli import InputError, ProgressBar, choices, command, input_errors, require_counts, require_numbers
+from airhockey_marl.files import replacing
+from airhockey_marl.league import League
+from airhockey_marl.match import Player, confident
+from airhockey_marl.table import LEFT, PUCK, RIGHT, Table
+from airhockey_marl.tables import Tables
+from guidance.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidance, Guided, Target
+from guidance.drawing import NARROWEST, Scene, draw_sheet, save_film
+from guidance.models import Guide, Models
+from guidance.study import LETTERS, NO_CONDITION, Protocol, no_force, play_games, streams
+from guidance.users import Population, Users, load_mentors, sample_people
+from guidance.users.intention import Intention
+from guidance.users.reaction import Variant
+
+LONGEST = 60  # s: all pictures of a film are in memory together
+MOST_SKILL = 4.0  # standard deviations
+
+
+@dataclass
+class Overheard:
+    """A guidance whose targets can be looked at: it keeps the last ones, and asks models that it may not need."""
+
+    guidance: Guidance
+    asked: frozenset[str]
+    targets: Mapping[str, Target] = field(default_factory=dict)
+
+    def models(self) -> frozenset[str]:
+        return self.guidance.models() | self.asked
+
+    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
+        self.targets = targets
+        return self.guidance(action, targets)
+
+
+@command("watch")
+def main(cfg: DictConfig) -> None:
+    table = Table()
+    with input_errors():
+        check(cfg, round(1 / table.tick))
+        condition: Condition = hydra.utils.instantiate(cfg.condition)
+        if condition.letter not in tuple(LETTERS):
+            raise InputError(f"condition.letter = {condition.letter} must be one of {', '.join(LETTERS)}")
+        protocol: Protocol = hydra.utils.instantiate(cfg.study)
+        person, mentors = chosen_person(cfg), load_mentors(cfg.users.mentors)
+        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+        opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
+    torch.set_num_threads(cfg.threads)
+    progress = ProgressBar()
+    asks, adapted = condition.guidance.models(), None
+
+    def seat(game: int) -> tuple[Users, np.ndarray]:
+        """The person, and the table's stream, as in a study's game."""
+        minds, serves = (streams(cfg.seed, [0], game, purpose) for purpose in (0, 1))
+        return Users(person, minds, table, cfg.users.variant, mentors), serves
+
+    if ADAPTED in asks:
+        progress("unscored game", 0.0)
+        users, serves = seat(NO_CONDITION)
+        game = play_games(users, opponent, no_force, protocol, table, serves, keep_demonstrations=True)
+        adapted = models.adapted_to(game.demonstrations)
+    users, serves = seat(LETTERS.index(condition.letter))
+    ticks = play(users, condition, models, adapted, opponent, cfg.guidance.lookahead, table, serves, cfg.seconds)
+
+    archetypes = list(cfg.users.population.archetypes)
+    scene = Scene(
+        table=table,
+        title=condition.label,
+        player=f"simulated {archetypes[person['archetype'][0]].replace('_', '-')}",
+        opponent=f"generation {cfg.opponent}",
+        used=frozenset("optimal" if model == OPTIMAL else "predicted" for model in asks),
+        adapted=adapted is not None,
+        width=cfg.width,
+    )
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    with replacing(folder / "watch.csv") as temporary:
+        ticks.to_csv(temporary, index=False, float_format="%.6g")
+    with replacing(folder / "watch.png") as temporary:
+        draw_sheet(ticks, scene).save(temporary)
+    every = round(1 / (table.tick * cfg.frames_per_second))
+    shown = 10 * round(100 * every * table.tick / cfg.speed)  # ms; a GIF counts in hundredths of a second
+    with replacing(folder / "watch.gif") as temporary:
+        save_film(temporary, ticks, scene, every, shown, partial(progress, "film"))
+    progress.close()
+    last = ticks.iloc[-1]
+    print(f"{condition.label}: {last['won']} to {last['lost']} in {last['time_s']:g} s")
+    print(f"\nfilm: {folder / 'watch.gif'}")
+
+
+def check(cfg: DictConfig, ticks_per_second: int) -> None:
+    """Refuse what cannot be played or shown.
+
+    Raises:
+        InputError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "threads", "frames_per_second")
+    require_counts(cfg, "seed", least=0)
+    require_counts(cfg, "width", least=NARROWEST)
+    require_numbers(cfg, "seconds", at_most=LONGEST)
+    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
+    if ticks_per_second % cfg.frames_per_second:
+        raise InputError(f"frames_per_second = {cfg.frames_per_second} must divide {ticks_per_second}")
+    require_numbers(cfg, "speed", at_most=ticks_per_second / cfg.frames_per_second)
+    if cfg.get("condition") is None:
+        raise InputError(f"condition = null must be one of {', '.join(choices()['condition'])}")
+    if cfg.users.variant not in Variant.__members__:
+        raise InputError(f"users.variant = {cfg.users.variant!r} must be one of {', '.join(Variant.__members__)}")
+
+
+def chosen_person(cfg: DictConfig) -> np.ndarray:
+    """(1,) the person that the configuration asks for.
+
+    Raises:
+        InputError: there is no such archetype or skill.
+    """
+    population: Population = hydra.utils.instantiate(cfg.users.population)
+    if cfg.user is not None and cfg.user not in population.archetypes:
+        raise InputError(f"user = {cfg.user} must be one of {', '.join(population.archetypes)}, null")
+    if cfg.skill is not None:
+        require_numbers(cfg, "skill", least=-MOST_SKILL, at_most=MOST_SKILL)
+        population = replace(population, skill_mean=float(cfg.skill), skill_sd=0.0)
+    return sample_people(1, cfg.seed, population, cfg.user)
+
+
+@torch.no_grad()
+def play(
+    users: Users,
+    condition: Condition,
+    models: Models,
+    adapted: TensorDict | None,
+    opponent: Player,
+    lookahead_seconds: float,
+    table: Table,
+    serves: np.ndarray,
+    seconds: float,
+) -> pd.DataFrame:
+    """Let one person play at the left seat, a round after each goal.
+
+    Args:
+        adapted: their own parameters of the user model, batch size (1,), if the condition has UA.
+        serves: (1,) uint64, the table's random numbers.
+
+    Returns:
+        A row per tick. At its end: time_s; round, and the rounds won and lost so far; own, other and puck (each _x, _y)
+        in m of the table; hand and wanted, where the person wants it, in m of the hand; intention. During it: force
+        in N; optimal and predicted, each with its _std, in units of action, for the state at its beginning, looked
+        ahead; w_unc_optimal, w_unc_predicted and w_sim, not a number where the condition has none.
+    """
+    overheard = Overheard(condition.guidance, frozenset({OPTIMAL, USER if adapted is None else ADAPTED}))
+    guide = Guide([replace(condition, guidance=overheard)], 1, models, adapted, lookahead_seconds)
+    tables, everyone = Tables(1, table), np.ones(1, dtype=bool)
+    tables.rng[:] = serves
+    tables.new_rounds()
+    seen, seen_by_opponent, actions = np.empty((1, 12)), np.empty((1, 12), dtype=np.float32), np.zeros((1, 2, 2))
+    won, lost, rows = 0, 0, []
+    for tick in range(max(1, round(seconds / table.tick))):
+        guided = guide(tables.observe(LEFT, seen), users.action.copy())
+        actions[:, LEFT] = users.step(seen, guided.force.numpy())
+        actions[:, RIGHT] = opponent(torch.from_numpy(tables.observe(RIGHT, seen_by_opponent))).numpy()
+        tables.step(actions)
+        row = {"time_s": (tick + 1) * table.tick, "round": 1 + won + lost}
+        won, lost = won + int(tables.goals[0] > 0), lost + int(tables.goals[0] < 0)
+        row |= {"won": won, "lost": lost, "intention": Intention(users.intention[0]).name}
+        rows.append(row | _measures(tables, users, guided, overheard.targets))
+        if tables.goals[0]:
+            tables.new_rounds()
+            users.new_round(everyone)
+    return pd.DataFrame(rows)
+
+
+def _measures(tables: Tables, users: Users, guided: Guided, targets: Mapping[str, Target]) -> dict[str, float]:
+    pairs = {name: tables.bodies[0, body, :2] for name, body in (("own", LEFT), ("other", RIGHT), ("puck", PUCK))}
+    pairs |= {"hand": users.hand[0], "wanted": users.goal[0], "force": guided.force[0]}
+    for name, target in (("optimal", targets[OPTIMAL]), ("predicted", targets.get(ADAPTED) or targets[USER])):
+        pairs |= {name: target.mean[0], f"{name}_std": target.std[0]}
+    weights = zip(("w_unc_optimal", "w_unc_predicted", "w_sim"), guided[1:], strict=True)
+    return {
+        **{
+            f"{name}_{axis}": float(value)
+            for name, pair in pairs.items()
+            for axis, value in zip("xy", pair, strict=True)
+        },
+        **{name: float(weight[0]) for name, weight in weights},
+    }
+
+
+if __name__ == "__main__":
+    main()
