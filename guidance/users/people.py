@@ -9,7 +9,7 @@ from guidance.users.arm import ARM
 from guidance.users.intention import NOTHING, Intention
 from guidance.users.mentors import NO_MENTORS, Mentors
 from guidance.users.mind import MIND
-from guidance.users.player import begin_round, play
+from guidance.users.player import begin_rounds, play
 from guidance.users.population import PERSON
 from guidance.users.rating import SIGNALS, TALLY, answers, appraisals, signals
 from guidance.users.reaction import Variant
@@ -65,10 +65,7 @@ class Users:
 
     def new_round(self, which: np.ndarray) -> None:
         """Those of the boolean mask `which` (n,) begin a round: the hand at the centre, nothing seen or felt yet."""
-        for index in np.flatnonzero(self._mask(which)):
-            begin_round(self.people[index], self._minds[index], self._arms[index])
-            self._tallies[index]["expected_x"] = self._tallies[index]["expected_y"] = 0.0
-            self._action[index] = 0.0
+        begin_rounds(self.people, self._minds, self._arms, self._tallies, self._action, self._mask(which))
 
     def new_game(self, which: np.ndarray) -> None:
         """As `new_round`, and trust, co-contraction and what the ratings rest on are forgotten as well."""

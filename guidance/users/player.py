@@ -79,6 +79,16 @@ def begin_round(person, mind, arms):
 
 
 @njit(cache=True)
+def begin_rounds(people, minds, arms, tallies, action, which):
+    """`begin_round` for those of the mask `which` (n,); no force is expected, and the hand is at the middle."""
+    for index in range(len(people)):
+        if which[index]:
+            begin_round(people[index], minds[index], arms[index])
+            tallies[index].expected_x = tallies[index].expected_y = 0.0
+            action[index, 0] = action[index, 1] = 0.0
+
+
+@njit(cache=True)
 def aim_anew(mind, rng, index):
     """Draw where to aim, and where to stand."""
     mind.aim = 2.0 * random_unit(rng, index) - 1.0
