@@ -154,6 +154,19 @@ def require_numbers(
             raise InputError(f"{key} = {value} must be a number {lowest}{highest}")
 
 
+def config_of(run: Path, state: str) -> DictConfig:
+    """The configuration of an earlier run, to go on with it; `state` is the name of the file that it goes on from.
+
+    Raises:
+        ValueError: it is not a run of this command that has come so far.
+    """
+    if not (run / state).is_file() or not (run / ".hydra" / "config.yaml").is_file():
+        raise ValueError(f"resume = {run} is not the folder of a run that can go on: it has no {state}")
+    cfg = OmegaConf.load(run / ".hydra" / "config.yaml")
+    cfg.resume = str(run)
+    return cfg
+
+
 class ProgressBar:
     """A progress bar on standard error for work that comes in phases; silent where there is no terminal."""
 

@@ -8,8 +8,8 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
 
-def template(folder: Path, **filters: Callable) -> Template:
-    """The `report_template.html` of a folder, strict about what it is given, with these filters and the common ones."""
+def template(folder: Path, name: str = "report_template.html", **filters: Callable) -> Template:
+    """A template of a folder, strict about what it is given, with these filters and the common ones."""
     environment = Environment(
         loader=FileSystemLoader(folder),
         autoescape=True,
@@ -22,7 +22,7 @@ def template(folder: Path, **filters: Callable) -> Template:
         "pretty": lambda value: json.dumps(value, indent=2, default=str),
         **filters,
     }
-    return environment.get_template("report_template.html")
+    return environment.get_template(name)
 
 
 def number(value: float, digits: int = 2) -> str:

@@ -28,7 +28,7 @@ from tqdm import tqdm
 
 from airhockey_marl.anchors import ANCHORS
 from airhockey_marl.checkpoint import Checkpoint
-from airhockey_marl.cli import InputError, command, input_errors, require_counts, require_numbers
+from airhockey_marl.cli import InputError, command, config_of, input_errors, require_counts, require_numbers
 from airhockey_marl.env import make_env, serve_streams
 from airhockey_marl.files import write_json, write_text
 from airhockey_marl.league import League, Member
@@ -70,7 +70,7 @@ def check(cfg: DictConfig) -> None:
 def main(cfg: DictConfig) -> None:
     with input_errors():
         if cfg.resume is not None:
-            cfg = config_of(Path(cfg.resume))
+            cfg = config_of(Path(cfg.resume), STATE)
         check(cfg)
         torch.manual_seed(cfg.seed)
         policy = GaussianPolicy(cfg.hidden, cfg.inputs)
@@ -81,19 +81,6 @@ def main(cfg: DictConfig) -> None:
     league, seconds = train(cfg, folder, env, policy, algorithm, sampler)
     made_by = " ".join(["python -m airhockey_marl.train", *HydraConfig.get().overrides.task])
     write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **card(cfg, league)})
-
-
-def config_of(run: Path) -> DictConfig:
-    """The configuration of an earlier run, to go on with it.
-
-    Raises:
-        ValueError: it is not a run of this command that has finished a generation.
-    """
-    if not (run / STATE).is_file() or not (run / ".hydra" / "config.yaml").is_file():
-        raise ValueError(f"resume = {run} is not the folder of a run with a finished generation ({STATE})")
-    cfg = OmegaConf.load(run / ".hydra" / "config.yaml")
-    cfg.resume = str(run)
-    return cfg
 
 
 def train(

@@ -2,10 +2,11 @@
 
     python -m guidance.meta_train                      the paper's schedule, on nine simulated users
     python -m guidance.meta_train +preset=smoke        seconds, to see that it runs
+    python -m guidance.meta_train resume=outputs/...   go on with a run that was stopped, as if it had not been
     tensorboard --logdir outputs                       watch
 
 Writes into its run folder: meta.safetensors, user.safetensors, card.json (what they are, how well they predict people
-they have not seen) and tensorboard/.
+they have not seen), tensorboard/, and after each epoch state.safetensors, from which `resume` goes on.
 """
 
 import sys
@@ -19,21 +20,23 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
-from torchrl.record.loggers.tensorboard import TensorboardLogger
+from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts, require_numbers
+from airhockey_marl.checkpoint import Checkpoint
+from airhockey_marl.cli import ProgressBar, command, config_of, input_errors, require_counts, require_numbers
 from airhockey_marl.files import sha256, write_json
 from airhockey_marl.league import League
 from airhockey_marl.match import confident
 from airhockey_marl.policy import GaussianPolicy
-from airhockey_marl.table import Table, reach
+from airhockey_marl.table import Table
 from guidance.demonstrations import collect
-from guidance.maml import forward_each, parameters
 from guidance.models import save_user_model
-from guidance.user_model import Demonstrations, adapt_to_user, prediction_loss, train_maml, train_supervised
+from guidance.prediction import judge, predictors
+from guidance.user_model import Demonstrations, train_maml, train_supervised
 from guidance.users import Population, load_mentors, sample_people, training_people
 
+STATE = "state.safetensors"
 HELD_OUT_SEED = 1_000_003  # the card's people: neither the training users nor those of a study with a small seed
 
 
@@ -53,6 +56,8 @@ def check(cfg: DictConfig) -> None:
 @command("meta_train")
 def main(cfg: DictConfig) -> None:
     with input_errors():
+        if cfg.resume is not None:
+            cfg = config_of(Path(cfg.resume), STATE)
         check(cfg)
         population: Population = hydra.utils.instantiate(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
@@ -60,7 +65,7 @@ def main(cfg: DictConfig) -> None:
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
     torch.set_num_threads(cfg.threads)
-    folder, began = Path(HydraConfig.get().runtime.output_dir), time.perf_counter()
+    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
 
     progress = ProgressBar()
 
@@ -70,62 +75,69 @@ def main(cfg: DictConfig) -> None:
         return collect(people, opponent, **cfg.demonstrations, **how, progress=told)
 
     data = play(training_people(cfg.seed, population), cfg.seed, "nine people play")
-    generator = torch.Generator().manual_seed(cfg.seed)
-    trainings = {
-        "maml": train_maml(meta, data, **cfg.maml, generator=generator),
-        "supervised": train_supervised(user, data, **cfg.supervised, generator=generator),
-    }
     progress.close()
-    logger = TensorboardLogger("tensorboard", log_dir=str(folder))
-    for name, training in trainings.items():
-        bar = tqdm(training, total=cfg[name].epochs, desc=name, unit="epoch", file=sys.stderr, disable=None)
-        for metrics in bar:
-            epoch = metrics.pop("epoch")
-            logger.log_metrics({f"{name}/{key}": value for key, value in metrics.items()}, step=epoch)
-            bar.set_postfix({key: f"{value:.3f}" for key, value in metrics.items()})
-
+    seconds = train_both(cfg, folder, meta, user, data)
     strangers = sample_people(len(data.action), HELD_OUT_SEED, population)
     scores = prediction_scores(meta, user, play(strangers, HELD_OUT_SEED, "nine others play"), cfg.maml.inner_lr)
-    logger.log_metrics({f"held_out/{key}": value for key, value in scores.items()}, step=cfg.maml.epochs)
+    progress.close()
     facts = {"seed": cfg.seed, "inner_lr": cfg.maml.inner_lr}
     save_user_model(folder / "meta.safetensors", meta, facts)
     save_user_model(folder / "user.safetensors", user, {"seed": cfg.seed})
-    write_json(folder / "card.json", card(cfg, scores, time.perf_counter() - began))
+    write_json(folder / "card.json", card(cfg, scores, seconds))
+
+
+def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, data: Demonstrations) -> float:
+    """Train the meta-learned model, then the one for people in general, both in place; resume if `cfg` says so.
+
+    The state is written after each epoch, so that a run that was stopped ends like one that was not.
+
+    Returns:
+        The seconds it took, before it was resumed and after.
+    """
+    models = {"maml": meta, "supervised": user}
+    optimizers = {name: torch.optim.Adam(model.parameters(), cfg[name].lr) for name, model in models.items()}
+    parts = {**models, **{f"{name}_optimizer": optimizer for name, optimizer in optimizers.items()}}
+    checkpoint = Checkpoint(parts, np.random.default_rng(cfg.seed), [])
+    done, seconds = dict.fromkeys(models, 0), 0.0
+    if cfg.resume is not None:
+        facts = checkpoint.load(folder / STATE)
+        done, seconds = facts["done"], facts["seconds"]
+    began = time.perf_counter() - seconds
+    for name, train in (("maml", train_maml), ("supervised", train_supervised)):
+        # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
+        board = SummaryWriter(str(folder / "tensorboard" / name), purge_step=done[name] + 1)
+        training = train(models[name], data, **cfg[name], optimizer=optimizers[name], done=done[name])
+        bar = tqdm(training, name, cfg[name].epochs, initial=done[name], unit="epoch", file=sys.stderr, disable=None)
+        for metrics in bar:
+            epoch = metrics.pop("epoch")
+            for key, value in metrics.items():
+                board.add_scalar(f"{name}/{key}", value, epoch)
+            board.flush()
+            bar.set_postfix({key: f"{value:.3f}" for key, value in metrics.items()})
+            done[name], seconds = epoch, time.perf_counter() - began
+            checkpoint.save(folder / STATE, {"done": done, "seconds": seconds})
+        board.close()
+    return seconds
 
 
 @torch.no_grad()
 def prediction_scores(meta: nn.Module, user: nn.Module, data: Demonstrations, inner_lr: float) -> dict[str, float]:
-    """How the models predict people they were not trained on: each person's last game, after UA with the first.
+    """How people are predicted whom the models were not trained on: their last games, after UA with their first.
 
     Returns:
-        Per model the loss of Eq. 3 and the root mean square error in units of action. What a model must beat to be
-        called a prediction: `persistence`, the action is where the paddle is, and `extrapolation`, it is where the
-        paddle's velocity takes it in a time fitted to the first games.
+        Per predictor, as in `prediction.predictors`, the loss of Eq. 3 and the root mean square error in units of
+        action, averaged over people. `python -m guidance.prediction_report` says more.
     """
-
-    def paddle(observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Position and velocity (..., 2) of the own paddle in units of action, and per second."""
-        middle, half = (torch.tensor(part, dtype=torch.float32) for part in reach(Table()))
-        return (observation[..., 0:2] - middle) / half, observation[..., 2:4] / half
-
-    first, last = data.observation[:, 0], data.observation[:, -1]  # (users, ticks, 12)
-    action = data.action[:, -1]
-    adapted = adapt_to_user(meta, parameters(meta), first, data.action[:, 0], inner_lr)
-    predictions = {
-        "supervised": user(last),
-        "maml_before_ua": meta(last),
-        "maml_after_ua": forward_each(meta, adapted, last),
+    found: dict[str, list[dict[str, float]]] = {}
+    for observation, action in zip(data.observation, data.action, strict=True):
+        everybody = predictors(user, meta, inner_lr, observation[0], action[0], Table())
+        for name, predictor in everybody.items():
+            found.setdefault(name, []).append(judge(predictor, observation[-1], action[-1], 0.0, Table()))
+    return {
+        f"{name}_{measure}": float(np.mean([person[measure] for person in people]))
+        for name, people in found.items()
+        for measure in ("loss", "rmse")
     }
-    scores = {}
-    for name, (mean, std) in predictions.items():
-        scores[f"{name}_loss"] = prediction_loss(mean, std, action).item()
-        scores[f"{name}_rmse"] = (mean - action).square().sum(-1).mean().sqrt().item()
-    place, velocity = paddle(first)
-    ahead = (velocity * (data.action[:, 0] - place)).sum() / velocity.square().sum()  # s
-    place, velocity = paddle(last)
-    for name, guess in (("persistence", place), ("extrapolation", place + ahead * velocity)):
-        scores[f"{name}_rmse"] = (guess - action).square().sum(-1).mean().sqrt().item()
-    return scores
 
 
 def card(cfg: DictConfig, scores: dict[str, float], seconds: float) -> dict:

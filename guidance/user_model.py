@@ -145,6 +145,8 @@ def train_supervised(
     batch_size: int = 1000,
     lr: float = 1e-3,
     generator: torch.Generator | None = None,
+    optimizer: torch.optim.Adam | None = None,
+    done: int = 0,
 ) -> Iterator[dict[str, float]]:
     """Trains one model for all users, without UA: Adam on Eq. 3.
 
@@ -155,6 +157,7 @@ def train_supervised(
         batch_size: ticks of an update, drawn from all users and games.
         lr: learning rate of Adam.
         generator: source of the shuffling; the global one if None.
+        optimizer, done: to go on with a training after so many epochs, with its own Adam.
 
     Yields:
         After each epoch ``epoch`` (from 1) and ``loss``, the mean over its ticks, measured while the model changed.
@@ -164,8 +167,8 @@ def train_supervised(
         FloatingPointError: the loss or its gradient is no longer finite.
     """
     _require_schedule(epochs, lr)
-    optimizer = torch.optim.Adam(model.parameters(), lr)
-    for epoch in range(1, epochs + 1):
+    optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
+    for epoch in range(done + 1, epochs + 1):
         total, ticks = 0.0, 0
         for observation, action in data.batches(batch_size, generator):
             mean, std = model(observation)
@@ -186,6 +189,8 @@ def train_maml(
     first_order: bool = False,
     max_norm: float = math.inf,
     generator: torch.Generator | None = None,
+    optimizer: torch.optim.Adam | None = None,
+    done: int = 0,
 ) -> Iterator[dict[str, float]]:
     """Trains the parameters from which one gradient step adapts to a user: Adam on Eq. 2.
 
@@ -205,6 +210,7 @@ def train_maml(
             clipping, hence inf. But once the STD is small, 1 / ||sigma||^2 makes an inner step of 0.1 steep and the
             meta-gradient now and then a hundred times its median, which throws training back; try 10.
         generator: source of the pairing; the global one if None.
+        optimizer, done: to go on with a training after so many epochs, with its own Adam.
 
     Yields:
         After each epoch ``epoch`` (from 1), ``loss``, the mean over users and meta-steps of L(theta_adapt, D_valid),
@@ -217,9 +223,9 @@ def train_maml(
     _require_schedule(epochs, lr)
     if not max_norm > 0:
         raise ValueError(f"max_norm: {max_norm}, must be positive, inf for no clipping")
-    optimizer = torch.optim.Adam(model.parameters(), lr)
+    optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
     params, objective, users = parameters(model), partial(_data_loss, model), len(data.action)
-    for epoch in range(1, epochs + 1):
+    for epoch in range(done + 1, epochs + 1):
         after, before = [], []
         for demo, valid in data.pairs(block, generator):
             with torch.no_grad():

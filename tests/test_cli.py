@@ -103,9 +103,35 @@ def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, env):
     assert scalars(tmp_path / "whole") == scalars(killed)
 
 
-def scalars(run: Path) -> dict[str, list[tuple[int, float]]]:
+def test_meta_train_killed_and_resumed_ends_like_one_never_killed(trained, tmp_path):
+    """SIGKILL in the first training, and resume; then the weights, the scores and the scalars are the same."""
+    few = ["+preset=smoke", f"models.league={trained['league']}", "opponent=1", "maml.epochs=6", "supervised.epochs=3"]
+    whole = start("guidance.meta_train", *few, f"hydra.run.dir={tmp_path}/whole")
+    assert whole.returncode == 0, whole.stderr
+    killed = tmp_path / "killed"
+    command = [sys.executable, "-m", "guidance.meta_train", *few, f"hydra.run.dir={killed}"]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while not (killed / "state.safetensors").exists():
+        assert process.poll() is None
+        time.sleep(0.001)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (killed / "card.json").exists()
+    resumed = start("guidance.meta_train", f"resume={killed}", f"hydra.run.dir={tmp_path}/log")
+    assert resumed.returncode == 0, resumed.stderr
+    for name in ("meta", "user"):
+        first, second = (load_tensors(tmp_path / run / f"{name}.safetensors")[0] for run in ("whole", "killed"))
+        assert all(torch.equal(first[key], second[key]) for key in first)
+    first, second = (json.loads((tmp_path / run / "card.json").read_text()) for run in ("whole", "killed"))
+    assert first["on_nine_others"] == second["on_nine_others"]
+    for name, epochs in (("maml", 6), ("supervised", 3)):
+        shown, again = (scalars(tmp_path / run, name) for run in ("whole", "killed"))
+        assert shown == again and [step for step, _ in shown[f"{name}/loss"]] == list(range(1, epochs + 1))
+
+
+def scalars(run: Path, part: str = ".") -> dict[str, list[tuple[int, float]]]:
     """What TensorBoard shows of a run: steps and values by name, without the clock's."""
-    events = EventAccumulator(str(run / "tensorboard"), size_guidance={"scalars": 0}).Reload()
+    events = EventAccumulator(str(run / "tensorboard" / part), size_guidance={"scalars": 0}).Reload()
     names = [name for name in events.Tags()["scalars"] if not name.startswith("speed/")]
     return {name: [(event.step, event.value) for event in events.Scalars(name)] for name in names}
 
