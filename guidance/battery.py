@@ -26,8 +26,9 @@ from airhockey_marl.files import replacing
 from airhockey_marl.league import League
 from airhockey_marl.match import Player, confident
 from airhockey_marl.table import Table
-from guidance.demonstrations import collect, hand_speed
+from guidance.demonstrations import collect
 from guidance.portraits import draw_places, draw_push, draw_shots, draw_speeds
+from guidance.rounds import hand_speed
 from guidance.study import Protocol, no_force, play_games, streams
 from guidance.styles import features, recognised, told_apart
 from guidance.users import Mentors, Population, Users, load_mentors, sample_people
@@ -64,7 +65,7 @@ def main(cfg: DictConfig) -> None:
             raise InputError(f"users.variant = {cfg.users.variant!r} must be one of {', '.join(Variant.__members__)}")
         population: Population = hydra.utils.instantiate(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
-        opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
+        opponent = confident(League.load(cfg.models.opponents).player(cfg.opponent))
     torch.set_num_threads(cfg.threads)
     people = sample_people(cfg.laboratory, cfg.seed, population)
     found, data = in_the_laboratory(people, cfg.users.variant, cfg.seed)
@@ -136,7 +137,8 @@ def at_the_table(
         np.concatenate([features(data.observation[:, game], table) for data in group])
         for group, game in ((known, 0), (unseen, 0), (unseen, 1))
     )
-    fastest = np.percentile(np.concatenate([hand_speed(data, table).numpy().ravel() for data in unseen]), 99.9)
+    speeds = [hand_speed(data.observation, data.action, table).numpy().ravel() for data in unseen]
+    fastest = np.percentile(np.concatenate(speeds), 99.9)
     found = {
         "speed of the hand in play, 99.9 %": np.array([fastest]),
         "playstyle told from a game, unseen people": told_apart(first, style, one) == style,

@@ -24,7 +24,8 @@ from airhockey_marl.files import write_text
 from airhockey_marl.league import League
 from airhockey_marl.match import confident
 from airhockey_marl.table import Table
-from guidance.forces import lookahead, uncertainty_weight
+from guidance.conditions import ADAPTED, OPTIMAL
+from guidance.forces import uncertainty_weight
 from guidance.maml import forward_each
 from guidance.models import Models
 from guidance.study import Games, no_force, play_games, streams
@@ -44,7 +45,7 @@ def main(cfg: DictConfig) -> None:
         mentors = load_mentors(cfg.users.mentors)
         protocol = hydra.utils.instantiate(cfg.study, familiarisation=0)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        league = League.load(cfg.models.league)
+        league = League.load(cfg.models.opponents)
         if cfg.opponent is not None:
             league.generation(cfg.opponent)
     torch.set_num_threads(cfg.threads)
@@ -115,8 +116,8 @@ def predicted_std(
     optimal, user = [], []
     for i, (observation, _) in enumerate(demonstrations):
         if i % games:
-            anticipated = lookahead(observation, lookahead_seconds)
-            optimal.append(models.optimal(anticipated)[1])
+            optimal.append(models.optimal(models.anticipated(OPTIMAL, observation, lookahead_seconds))[1])
+            anticipated = models.anticipated(ADAPTED, observation, lookahead_seconds)
             user.append(forward_each(models.meta, adapted[i // games : i // games + 1], anticipated[None])[1][0])
     return {"optimal": torch.cat(optimal), "user": torch.cat(user)}
 

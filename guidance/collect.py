@@ -66,7 +66,7 @@ def main(cfg: DictConfig) -> None:
     folder, began = Path(HydraConfig.get().runtime.output_dir), time.perf_counter()
     with input_errors():
         check(cfg)
-        league = League.load(cfg.models.league)
+        league = League.load(cfg.models.opponents)
         if cfg.opponent >= len(league):
             raise InputError(f"opponent = {cfg.opponent} must be a generation of the league, 0 to {len(league) - 1}")
         if (folder / TENSORS).exists():
@@ -99,7 +99,7 @@ def card(cfg: DictConfig, folder: Path, data: Demonstrations, users: list[dict],
         "seed": cfg.seed,
         "seconds": round(seconds, 1),
         "opponent_generation": cfg.opponent,
-        "league_sha256": sha256(cfg.models.league),
+        "opponents_sha256": sha256(cfg.models.opponents),
         **dict(zip(("users", "games", "ticks"), data.action.shape[:3], strict=True)),
         "tick_s": Table().tick,
         "open": [

@@ -14,7 +14,7 @@ from tensordict import TensorDict
 
 from airhockey_marl.files import replacing, sha256
 from airhockey_marl.table import Table
-from guidance.demonstrations import hand_speed, round_begins
+from guidance.rounds import hand_speed, round_begins
 from guidance.user_model import Demonstrations
 from guidance.users.arm import HAND_REACH
 
@@ -107,7 +107,7 @@ def summary(data: Demonstrations, table: Table) -> pd.DataFrame:
     minutes = begins[0].numel() * table.tick / 60
     found = {"scored_per_minute": (goal & ahead).sum((1, 2)) / minutes}
     found["conceded_per_minute"] = (goal & ~ahead).sum((1, 2)) / minutes
-    speed = hand_speed(data, table)
+    speed = hand_speed(data.observation, data.action, table)
     measured = {"hand_m_s": speed, "own_x_m": data.observation[..., 0], "own_y_m": data.observation[..., 1]}
     for name, values in measured.items():
         flat = values.flatten(1).double()

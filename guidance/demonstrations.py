@@ -11,7 +11,6 @@ from airhockey_marl.tables import Tables
 from guidance.study import streams
 from guidance.user_model import Demonstrations
 from guidance.users import Mentors, Users
-from guidance.users.arm import HAND_REACH
 
 
 @torch.no_grad()
@@ -67,16 +66,3 @@ def collect(
         return torch.from_numpy(trail).transpose(0, 1).unflatten(0, (users, games)).contiguous()
 
     return Demonstrations(by_user(observation), by_user(action))
-
-
-def round_begins(observation: torch.Tensor, table: Table) -> torch.Tensor:
-    """Whether a round begins with each tick (...) of observations (..., 12): everything is at rest in its place."""
-    rest = [-table.length / 4, 0.0, 0.0, 0.0, table.length / 4, 0.0, 0.0, 0.0, 0.0]  # both paddles, and the puck's x
-    return (observation[..., :9] == torch.tensor(rest, dtype=observation.dtype)).all(dim=-1)
-
-
-def hand_speed(data: Demonstrations, table: Table) -> torch.Tensor:
-    """(users, games, ticks) m/s, the hand's mean speed in each tick; a round begins with the hand at its centre."""
-    begins = round_begins(data.observation, table)
-    before = data.action.roll(1, dims=2).masked_fill(begins[..., None], 0.0)
-    return (data.action - before).norm(dim=-1) * HAND_REACH / table.tick

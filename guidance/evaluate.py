@@ -58,7 +58,7 @@ def main(cfg: DictConfig) -> None:
         protocol: Protocol = hydra.utils.instantiate(cfg.study)
         population: Population = hydra.utils.instantiate(cfg.users.population)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
+        opponent = confident(League.load(cfg.models.opponents).player(cfg.opponent))
         people = sample_people(cfg.participants, cfg.seed, population)
         mentors = load_mentors(cfg.users.mentors)
         for name in cfg.users.withdrawn:
@@ -86,7 +86,8 @@ def main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with replacing(folder / "trials.csv") as temporary:
         trials.to_csv(temporary, index=False)
-    hashes = models.hashes | ({"mentors": sha256(cfg.users.mentors)} if cfg.users.mentors is not None else {})
+    files = {"opponents": cfg.models.opponents, "mentors": cfg.users.mentors}
+    hashes = models.hashes | {name: sha256(path) for name, path in files.items() if path is not None}
     facts = manifest(cfg, hashes, time.perf_counter() - began)
     write_json(folder / "manifest.json", facts)
     write_report(trials, folder, facts)

@@ -33,6 +33,7 @@ from airhockey_marl.table import Table
 from guidance.demonstrations import collect
 from guidance.models import save_user_model
 from guidance.prediction import judge, predictors
+from guidance.rounds import action_ahead
 from guidance.user_model import Demonstrations, train_maml, train_supervised
 from guidance.users import Population, load_mentors, sample_people, training_people
 
@@ -50,6 +51,7 @@ def check(cfg: DictConfig) -> None:
     require_counts(cfg, "seed", least=0)
     require_counts(cfg, "demonstrations.games", least=2)  # one to adapt to and one to validate on
     require_counts(cfg, "demonstrations.ticks", least=cfg.maml.block)
+    require_numbers(cfg, "ahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "maml.inner_lr", "maml.lr", "maml.max_norm", "supervised.lr")
 
 
@@ -61,7 +63,7 @@ def main(cfg: DictConfig) -> None:
         check(cfg)
         population: Population = hydra.utils.instantiate(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
-        opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
+        opponent = confident(League.load(cfg.models.opponents).player(cfg.opponent))
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
     torch.set_num_threads(cfg.threads)
@@ -75,14 +77,17 @@ def main(cfg: DictConfig) -> None:
         return collect(people, opponent, **cfg.demonstrations, **how, progress=told)
 
     data = play(training_people(cfg.seed, population), cfg.seed, "nine people play")
+    data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, Table()))
     progress.close()
     seconds = train_both(cfg, folder, meta, user, data)
     strangers = sample_people(len(data.action), HELD_OUT_SEED, population)
-    scores = prediction_scores(meta, user, play(strangers, HELD_OUT_SEED, "nine others play"), cfg.maml.inner_lr)
+    scores = prediction_scores(
+        meta, user, play(strangers, HELD_OUT_SEED, "nine others play"), cfg.maml.inner_lr, cfg.ahead
+    )
     progress.close()
-    facts = {"seed": cfg.seed, "inner_lr": cfg.maml.inner_lr}
-    save_user_model(folder / "meta.safetensors", meta, facts)
-    save_user_model(folder / "user.safetensors", user, {"seed": cfg.seed})
+    facts = {"seed": cfg.seed, "ahead_s": cfg.ahead}
+    save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
+    save_user_model(folder / "user.safetensors", user, facts)
     write_json(folder / "card.json", card(cfg, scores, seconds))
 
 
@@ -121,7 +126,9 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
 
 
 @torch.no_grad()
-def prediction_scores(meta: nn.Module, user: nn.Module, data: Demonstrations, inner_lr: float) -> dict[str, float]:
+def prediction_scores(
+    meta: nn.Module, user: nn.Module, data: Demonstrations, inner_lr: float, ahead: float = 0.0
+) -> dict[str, float]:
     """How people are predicted whom the models were not trained on: their last games, after UA with their first.
 
     Returns:
@@ -130,9 +137,9 @@ def prediction_scores(meta: nn.Module, user: nn.Module, data: Demonstrations, in
     """
     found: dict[str, list[dict[str, float]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
-        everybody = predictors(user, meta, inner_lr, observation[0], action[0], Table())
+        everybody = predictors(user, meta, inner_lr, observation[0], action[0], Table(), ahead)
         for name, predictor in everybody.items():
-            found.setdefault(name, []).append(judge(predictor, observation[-1], action[-1], 0.0, Table()))
+            found.setdefault(name, []).append(judge(predictor, observation[-1], action[-1], ahead, Table()))
     return {
         f"{name}_{measure}": float(np.mean([person[measure] for person in people]))
         for name, people in found.items()
@@ -149,7 +156,7 @@ def card(cfg: DictConfig, scores: dict[str, float], seconds: float) -> dict:
         "seed": cfg.seed,
         "seconds": round(seconds, 1),
         "data": f"nine simulated training users, {cfg.demonstrations.games} x {cfg.demonstrations.ticks} ticks each",
-        "league_sha256": sha256(cfg.models.league),
+        "opponents_sha256": sha256(cfg.models.opponents),
         "on_nine_others": {name: round(value, 4) for name, value in scores.items()},
         "config": OmegaConf.to_container(cfg),
     }

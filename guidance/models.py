@@ -12,9 +12,11 @@ from torch import Tensor
 from airhockey_marl.files import load_tensors, save_tensors, sha256
 from airhockey_marl.league import League, require_weights
 from airhockey_marl.policy import GaussianPolicy
+from airhockey_marl.table import Table
 from guidance.conditions import ADAPTED, OPTIMAL, USER, Condition, Guided, Target
 from guidance.forces import lookahead
 from guidance.maml import parameters
+from guidance.rounds import action_ahead
 from guidance.user_model import adapt_to_user
 
 
@@ -48,6 +50,7 @@ class Models:
         user: the user prediction model for people in general (UPHG without UA).
         meta: the meta-learned one, to be adapted to a user (UA).
         inner_lr: alpha of Eq. 1, with which `meta` was trained.
+        ahead: s after the state, at which `user` and `meta` predict the action; 0 in the paper.
         hashes: SHA-256 of the file of each.
     """
 
@@ -56,6 +59,7 @@ class Models:
     meta: GaussianPolicy
     inner_lr: float
     hashes: dict[str, str]
+    ahead: float = 0.0
 
     @classmethod
     def load(cls, league: Path | str, generation: int, user: Path | str, meta: Path | str) -> "Models":
@@ -64,14 +68,18 @@ class Models:
         Raises:
             ValueError: a file is missing or broken, or the league has no such generation.
         """
-        meta_model, facts = load_user_model(meta)
+        (user_model, user_facts), (meta_model, facts) = load_user_model(user), load_user_model(meta)
         if "inner_lr" not in facts:
             raise ValueError(f"{meta} was not meta-learned: it has no inner_lr")
+        ahead = {facts.get("ahead_s", 0.0), user_facts.get("ahead_s", 0.0)}
+        if len(ahead) > 1:
+            raise ValueError(f"{user} and {meta} predict different times ahead, {sorted(ahead)} s")
         return cls(
             optimal=League.load(league).player(generation),
-            user=load_user_model(user)[0],
+            user=user_model,
             meta=meta_model,
             inner_lr=facts["inner_lr"],
+            ahead=ahead.pop(),
             hashes={"league": sha256(league), "user": sha256(user), "meta": sha256(meta)},
         )
 
@@ -85,8 +93,13 @@ class Models:
         Returns:
             The adapted parameters, batch size (users,).
         """
-        theta = parameters(self.meta)
-        return torch.cat([adapt_to_user(self.meta, theta, x[None], y[None], self.inner_lr) for x, y in demonstrations])
+        theta, table = parameters(self.meta), Table()
+        own = [(x[None], action_ahead(x, y, self.ahead, table)[None]) for x, y in demonstrations]
+        return torch.cat([adapt_to_user(self.meta, theta, x, y, self.inner_lr) for x, y in own])
+
+    def anticipated(self, model: str, state: Tensor, seconds: float) -> Tensor:
+        """The looked-ahead state of Eq. 4, for one of the models: only as far as it does not look ahead itself."""
+        return lookahead(state, seconds if model == OPTIMAL else max(seconds - self.ahead, 0.0))
 
 
 class Guide:
@@ -133,9 +146,9 @@ class Guide:
             `Guided` of float64 arrays' tensors: force (n, 2); weights (n,), not a number where a row has none.
         """
         conditions, users = len(self.conditions), self.users
-        anticipated = lookahead(torch.from_numpy(state).float(), self.lookahead_seconds).view(conditions, users, -1)
+        present = torch.from_numpy(state).float().view(conditions, users, -1)
         hand = torch.from_numpy(action).float().view(conditions, users, 2)
-        targets = {name: self._ask(name, anticipated[asking]) for name, asking in self._asking.items() if asking}
+        targets = {name: self._ask(name, present[asking]) for name, asking in self._asking.items() if asking}
         places = {name: {c: i for i, c in enumerate(asking)} for name, asking in self._asking.items()}
 
         answer = Guided(torch.zeros(conditions, users, 2), *torch.full((3, conditions, users), torch.nan))
@@ -148,7 +161,8 @@ class Guide:
         return Guided(*(part.flatten(0, 1).double() for part in answer))
 
     def _ask(self, model: str, state: Tensor) -> Target:
-        """Mean and STD (conditions, users, 2) at states (conditions, users, 12)."""
+        """Mean and STD (conditions, users, 2) at the states (conditions, users, 12), looked ahead."""
+        state = self.models.anticipated(model, state, self.lookahead_seconds)
         if model == OPTIMAL:
             return Target(*self.models.optimal(state))
         if model == USER:

@@ -15,9 +15,9 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from airhockey_marl.table import Table, reach
-from guidance.demonstrations import round_begins
 from guidance.forces import lookahead
 from guidance.maml import forward, parameters
+from guidance.rounds import action_ahead, round_begins
 from guidance.user_model import adapt_to_user
 
 # Observations (ticks, 12) and seconds ahead -> mean and STD (ticks, 2) of the action then.
@@ -72,9 +72,9 @@ def _baseline(guess: Callable[[Tensor, float], Tensor], seen: Tensor, action: Te
     return predict
 
 
-def by_model(model: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Predictor:
-    """A model of the present action, asked about the looked-ahead state as a guidance asks it (Eq. 4)."""
-    return lambda observation, seconds: model(lookahead(observation, seconds))
+def by_model(model: Callable[[Tensor], tuple[Tensor, Tensor]], ahead: float = 0.0) -> Predictor:
+    """A model of the action `ahead` s after a state, asked about a looked-ahead state as a guidance asks it (Eq. 4)."""
+    return lambda observation, seconds: model(lookahead(observation, max(seconds - ahead, 0.0)))
 
 
 def adapted_model(meta: nn.Module, adapted: TensorDict) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
@@ -83,16 +83,20 @@ def adapted_model(meta: nn.Module, adapted: TensorDict) -> Callable[[Tensor], tu
 
 
 def predictors(
-    user: nn.Module, meta: nn.Module, lr: float, seen: Tensor, action: Tensor, table: Table
+    user: nn.Module, meta: nn.Module, lr: float, seen: Tensor, action: Tensor, table: Table, ahead: float = 0.0
 ) -> dict[str, Predictor]:
-    """Everybody who predicts one person, knowing one game of theirs (ticks, 12), (ticks, 2)."""
-    adapted = adapt_to_user(meta, parameters(meta), seen[None], action[None], lr)[0]
+    """Everybody who predicts one person, knowing one game of theirs (ticks, 12), (ticks, 2).
+
+    The models are asked for the action `ahead` s after a state.
+    """
+    then = action_ahead(seen, action, ahead, table)
+    adapted = adapt_to_user(meta, parameters(meta), seen[None], then[None], lr)[0]
     return {
         "persistence": persistence(seen, action, table),
         "extrapolation": extrapolation(seen, action, table),
-        "supervised": by_model(user),
-        "before_ua": by_model(meta),
-        "after_ua": by_model(adapted_model(meta, adapted)),
+        "supervised": by_model(user, ahead),
+        "before_ua": by_model(meta, ahead),
+        "after_ua": by_model(adapted_model(meta, adapted), ahead),
     }
 
 

@@ -18,7 +18,7 @@ import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from torch import Tensor, nn
+from torch import Tensor
 
 from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import sha256, write_json, write_text
@@ -28,7 +28,7 @@ from airhockey_marl.page import template
 from airhockey_marl.table import Table
 from guidance.demonstrations import collect
 from guidance.maml import parameters
-from guidance.models import load_user_model
+from guidance.models import Models
 from guidance.portraits import draw_adaptation, draw_ahead, draw_reliability
 from guidance.prediction import (
     Predictor,
@@ -39,6 +39,7 @@ from guidance.prediction import (
     reliability,
     with_intervals,
 )
+from guidance.rounds import action_ahead
 from guidance.user_model import Demonstrations, adapt_to_user
 from guidance.users import Population, load_mentors, sample_people
 from guidance.users.reaction import Variant
@@ -79,23 +80,20 @@ def main(cfg: DictConfig) -> None:
         check(cfg)
         population: Population = hydra.utils.instantiate(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
-        user, _ = load_user_model(cfg.models.user)
-        meta, facts = load_user_model(cfg.models.meta)
-        if "inner_lr" not in facts:
-            raise ValueError(f"models.meta = {cfg.models.meta} was not meta-learned: it has no inner_lr")
-        opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
+        models = Models.load(cfg.models.league, -1, cfg.models.user, cfg.models.meta)
+        opponent = confident(League.load(cfg.models.opponents).player(cfg.opponent))
     torch.set_num_threads(cfg.threads)
-    progress, table, lr = ProgressBar(), Table(), facts["inner_lr"]
+    progress, table = ProgressBar(), Table()
     people = sample_people(cfg.participants, cfg.seed, population)
     sizes, how = (cfg.demonstrations.games, cfg.demonstrations.ticks), (table, cfg.users.variant, mentors, cfg.seed)
     data = collect(people, opponent, *sizes, *how, partial(progress, "people play"))
     progress("predictions", 0.0)
     found = {
-        "ahead": errors_ahead(user, meta, lr, data, list(cfg.ahead), table),
-        "matrix": everybody_by_everybody(meta, lr, data).tolist(),
-        "minutes": by_amount(meta, lr, data, list(cfg.minutes), table),
-        "steps": by_steps(meta, lr, data, list(cfg.steps), table),
-        "reliability": reliabilities(user, meta, lr, data, table),
+        "ahead": errors_ahead(models, data, list(cfg.ahead), table),
+        "matrix": everybody_by_everybody(models, data).tolist(),
+        "minutes": by_amount(models, data, list(cfg.minutes), table),
+        "steps": by_steps(models, data, list(cfg.steps), table),
+        "reliability": reliabilities(models, data, table),
     }
     found["own"] = for_whom(np.array(found["matrix"]))
     progress("predictions", 1.0)
@@ -105,14 +103,17 @@ def main(cfg: DictConfig) -> None:
     write(Path(HydraConfig.get().runtime.output_dir), found, facts)
 
 
+def known(models: Models, seen: Tensor, action: Tensor, table: Table) -> dict[str, Predictor]:
+    """Everybody who predicts one person, knowing one game of theirs (ticks, 12), (ticks, 2)."""
+    return predictors(models.user, models.meta, models.inner_lr, seen, action, table, models.ahead)
+
+
 @torch.no_grad()
-def errors_ahead(
-    user: nn.Module, meta: nn.Module, lr: float, data: Demonstrations, ahead: list[float], table: Table
-) -> list[dict]:
+def errors_ahead(models: Models, data: Demonstrations, ahead: list[float], table: Table) -> list[dict]:
     """A row per predictor and time ahead: each measure of `judge`, and its gain over extrapolation, with intervals."""
     found: dict[tuple[str, float], list[dict[str, float]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
-        everybody = predictors(user, meta, lr, observation[0], action[0], table)
+        everybody = known(models, observation[0], action[0], table)
         for name, predictor in everybody.items():
             for seconds in ahead:
                 row = judge(predictor, observation[-1], action[-1], seconds, table)
@@ -127,13 +128,13 @@ def errors_ahead(
 
 
 @torch.no_grad()
-def everybody_by_everybody(meta: nn.Module, lr: float, data: Demonstrations) -> np.ndarray:
+def everybody_by_everybody(models: Models, data: Demonstrations) -> np.ndarray:
     """(people, people) root mean square error on column's last game of the model adapted to row's first."""
-    adapted = adapt_to_user(meta, parameters(meta), data.observation[:, 0], data.action[:, 0], lr)
+    adapted = models.adapted_to(list(zip(data.observation[:, 0], data.action[:, 0], strict=True)))
     observation, action = data.observation[:, -1, ::PLAY_AHEAD], data.action[:, -1, ::PLAY_AHEAD]
     rows = []
     for own in adapted:
-        mean, _ = adapted_model(meta, own)(observation.flatten(0, 1))
+        mean, _ = adapted_model(models.meta, own)(observation.flatten(0, 1))
         error = action - mean.unflatten(0, action.shape[:2])
         rows.append(error.square().sum(-1).mean(-1).sqrt())
     return torch.stack(rows).numpy()
@@ -147,45 +148,44 @@ def for_whom(matrix: np.ndarray) -> dict[str, dict[str, float]]:
 
 
 @torch.no_grad()
-def by_amount(meta: nn.Module, lr: float, data: Demonstrations, minutes: list[float], table: Table) -> list[dict]:
+def by_amount(models: Models, data: Demonstrations, minutes: list[float], table: Table) -> list[dict]:
     """Error after UA with so many minutes of the games before the last, as far as they go."""
     seen, action = (part[:, :-1].flatten(1, 2) for part in (data.observation, data.action))
     rows = []
     for amount in minutes:
         ticks = round(amount * 60 / table.tick)
         if ticks <= seen.shape[1]:
-            rows.append({"minutes": amount, **_after(meta, lr, 1, seen[:, :ticks], action[:, :ticks], data, table)})
+            rows.append({"minutes": amount, **_after(models, 1, seen[:, :ticks], action[:, :ticks], data, table)})
     return rows
 
 
 @torch.no_grad()
-def by_steps(meta: nn.Module, lr: float, data: Demonstrations, steps: list[int], table: Table) -> list[dict]:
+def by_steps(models: Models, data: Demonstrations, steps: list[int], table: Table) -> list[dict]:
     """Error after UA with the first game, in so many steps."""
     seen, action = data.observation[:, 0], data.action[:, 0]
-    return [{"steps": count, **_after(meta, lr, count, seen, action, data, table)} for count in steps]
+    return [{"steps": count, **_after(models, count, seen, action, data, table)} for count in steps]
 
 
 def _after(
-    meta: nn.Module, lr: float, steps: int, seen: Tensor, action: Tensor, data: Demonstrations, table: Table
+    models: Models, steps: int, seen: Tensor, action: Tensor, data: Demonstrations, table: Table
 ) -> dict[str, dict[str, float]]:
     """rmse and nll, with intervals, on the last games of models adapted to (people, ticks, .), one after another."""
     people = []
     for person in range(len(seen)):
         at = slice(person, person + 1)
-        adapted = adapt_to_user(meta, parameters(meta), seen[at], action[at], lr, steps)[0]
-        predictor = by_model(adapted_model(meta, adapted))
-        people.append(judge(predictor, data.observation[person, -1], data.action[person, -1], 0.0, table))
+        then = action_ahead(seen[at], action[at], models.ahead, table)
+        adapted = adapt_to_user(models.meta, parameters(models.meta), seen[at], then, models.inner_lr, steps)[0]
+        predictor = by_model(adapted_model(models.meta, adapted), models.ahead)
+        people.append(judge(predictor, data.observation[person, -1], data.action[person, -1], models.ahead, table))
     return with_intervals({key: np.array([person[key] for person in people]) for key in ("rmse", "nll")})
 
 
 @torch.no_grad()
-def reliabilities(
-    user: nn.Module, meta: nn.Module, lr: float, data: Demonstrations, table: Table
-) -> dict[str, dict[str, list[float]]]:
+def reliabilities(models: Models, data: Demonstrations, table: Table) -> dict[str, dict[str, list[float]]]:
     """Of each model, what its STD says in ten bins and what the errors there are, averaged over people."""
     found: dict[str, list[tuple[Tensor, Tensor]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
-        everybody: dict[str, Predictor] = predictors(user, meta, lr, observation[0], action[0], table)
+        everybody: dict[str, Predictor] = known(models, observation[0], action[0], table)
         for name in ("supervised", "before_ua", "after_ua"):
             found.setdefault(name, []).append(reliability(everybody[name], observation[-1], action[-1]))
     return {

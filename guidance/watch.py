@@ -67,7 +67,7 @@ def main(cfg: DictConfig) -> None:
         protocol: Protocol = hydra.utils.instantiate(cfg.study)
         person, mentors = chosen_person(cfg), load_mentors(cfg.users.mentors)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        opponent = confident(League.load(cfg.models.league).player(cfg.opponent))
+        opponent = confident(League.load(cfg.models.opponents).player(cfg.opponent))
     torch.set_num_threads(cfg.threads)
     progress = ProgressBar()
     asks, adapted = condition.guidance.models(), None

@@ -48,7 +48,7 @@ def trained(tmp_path_factory) -> dict[str, Path]:
     folder = tmp_path_factory.mktemp("trained")
     smoke("airhockey_marl.train", f"hydra.run.dir={folder}/train")
     league = folder / "train" / "league.safetensors"
-    smoke("guidance.meta_train", f"models.league={league}", "opponent=1", f"hydra.run.dir={folder}/meta")
+    smoke("guidance.meta_train", f"models.opponents={league}", "opponent=1", f"hydra.run.dir={folder}/meta")
     return {"league": league, "user": folder / "meta/user.safetensors", "meta": folder / "meta/meta.safetensors"}
 
 
@@ -105,7 +105,13 @@ def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, env):
 
 def test_meta_train_killed_and_resumed_ends_like_one_never_killed(trained, tmp_path):
     """SIGKILL in the first training, and resume; then the weights, the scores and the scalars are the same."""
-    few = ["+preset=smoke", f"models.league={trained['league']}", "opponent=1", "maml.epochs=6", "supervised.epochs=3"]
+    few = [
+        "+preset=smoke",
+        f"models.opponents={trained['league']}",
+        "opponent=1",
+        "maml.epochs=6",
+        "supervised.epochs=3",
+    ]
     whole = start("guidance.meta_train", *few, f"hydra.run.dir={tmp_path}/whole")
     assert whole.returncode == 0, whole.stderr
     killed = tmp_path / "killed"
@@ -250,7 +256,7 @@ def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
         ("train", "resume=nowhere", "resume = nowhere is not the folder of a run"),
         ("meta_train", "maml.inner_lr=-0.1", "maml.inner_lr = -0.1"),
         ("meta_train", "demonstrations.games=1", "demonstrations.games = 1"),
-        ("meta_train", "models.league=nowhere", "no such file: nowhere"),
+        ("meta_train", "models.opponents=nowhere", "no such file: nowhere"),
         ("report", "runs=nowhere", "nowhere"),
     ],
 )

@@ -43,7 +43,7 @@ def population() -> Population:
 
 def play(people: np.ndarray, seed: int, ticks: int = TICKS) -> collect.Demonstrations:
     """What the command should have collected."""
-    opponent = confident(League.load(CONF.parent / "airhockey_marl/pretrained/league.safetensors").player(25))
+    opponent = confident(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(25))
     return demonstrations.collect(people, opponent, GAMES, ticks, Table(), "V1", MENTORS, seed)
 
 
@@ -97,7 +97,7 @@ def test_the_card_tells_where_it_comes_from_and_how_to_open_it(folder, monkeypat
     facts = {"seed": 3, "opponent_generation": 25, "users": 9, "games": GAMES, "ticks": TICKS, "tick_s": 0.02}
     assert {name: card[name] for name in facts} == facts
     assert set(card["sha256"]) == DATA and all(sha256(folder / name) == card["sha256"][name] for name in DATA)
-    assert set(card["columns"]) == set(dataset.COLUMNS) and len(card["league_sha256"]) == 64
+    assert set(card["columns"]) == set(dataset.COLUMNS) and len(card["opponents_sha256"]) == 64
     monkeypatch.chdir(folder)
     opened: dict = {}
     for line in card["open"]:
@@ -214,7 +214,7 @@ def test_loaded_demonstrations_are_a_copy(folder, wanted):
         ("demonstrations.ticks=2.5", "demonstrations.ticks = 2.5 must be a whole number of at least 1"),
         ("opponent=1000", "opponent = 1000 must be a generation of the league, 0 to 100"),
         ("opponent=-1", "opponent = -1 must be a whole number of at least 0"),
-        ("models.league=nowhere", "no such file: nowhere"),
+        ("models.opponents=nowhere", "no such file: nowhere"),
         ("users.variant=V9", "users.variant = V9 must be one of V0, V1, V2"),
         ("users=nobody", "users = nobody must be one of default"),
         ("seed=-1", "seed = -1 must be a whole number of at least 0"),

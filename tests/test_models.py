@@ -25,7 +25,7 @@ def test_the_shipped_league_is_the_one_on_its_card():
 
 def test_the_shipped_user_models_were_trained_against_the_studys_opponent_of_that_league():
     card = json.loads((USER / "card.json").read_text())
-    assert card["league_sha256"] == sha256(LEAGUE / "league.safetensors")
+    assert card["opponents_sha256"] == sha256(LEAGUE / "opponents.safetensors")
     for name in ("user", "meta"):
         model, facts = load_user_model(USER / f"{name}.safetensors")
         assert model.hidden == (80, 80, 80, 80) and facts["seed"] == card["seed"]

@@ -21,7 +21,7 @@ EACH, TICKS = 10, 3000
 
 @pytest.fixture(scope="module")
 def opponent():
-    return confident(League.load(CONF.parent / "airhockey_marl/pretrained/league.safetensors").player(25))
+    return confident(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(25))
 
 
 @pytest.fixture(scope="module")

@@ -160,7 +160,7 @@ def study() -> float:
         run_study,
         conditions=chosen_conditions(cfg),
         models=models,
-        opponent=confident(League.load(cfg.models.league).player(cfg.opponent)),
+        opponent=confident(League.load(cfg.models.opponents).player(cfg.opponent)),
         lookahead_seconds=cfg.guidance.lookahead,
         table=Table(),
         variant=cfg.users.variant,
