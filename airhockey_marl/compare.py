@@ -8,10 +8,9 @@ generation 0; and the last generations of all runs play each other. All sample t
 comparison.csv, a row per match and side, and comparison.png into its run folder, and prints a table.
 """
 
-import glob
 import itertools
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -25,7 +24,7 @@ from omegaconf import DictConfig, OmegaConf
 from torch import nn
 
 from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts
-from airhockey_marl.files import replacing
+from airhockey_marl.files import found_below, replacing
 from airhockey_marl.league import League
 from airhockey_marl.match import Result, play_matches, sampled
 
@@ -60,23 +59,6 @@ class Run:
     def last(self) -> int:
         """The number of the last generation."""
         return len(self.league) - 1
-
-
-def find_runs(places: Iterable[str | Path]) -> list[Path]:
-    """Every folder with a league at or below the given folders or glob patterns, each once.
-
-    Raises:
-        ValueError: a place under which there is none.
-    """
-    found: dict[Path, Path] = {}
-    for place in places:
-        # a sweep's folder may have brackets or stars in its own name: what exists is taken literally
-        matches = [place] if Path(place).exists() else sorted(glob.glob(str(place), recursive=True))
-        folders = sorted(file.parent for match in matches for file in Path(match).rglob(LEAGUE))
-        if not folders:
-            raise ValueError(f"runs = {place} must be training runs: there is no {LEAGUE} at or below it")
-        found |= {folder.resolve(): folder for folder in folders}
-    return list(found.values())
 
 
 def read_run(folder: Path) -> Run:
@@ -245,7 +227,8 @@ def main(cfg: DictConfig) -> None:
     with input_errors():
         require_counts(cfg, "rounds", "threads")
         require_counts(cfg, "seed", least=0)
-        runs = [read_run(folder) for folder in find_runs([cfg.runs] if isinstance(cfg.runs, str) else cfg.runs)]
+        places = [cfg.runs] if isinstance(cfg.runs, str) else cfg.runs
+        runs = [read_run(file.parent) for file in found_below(places, LEAGUE)]
         check_runs(runs)
     torch.set_num_threads(cfg.threads)
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)

@@ -1,9 +1,10 @@
 """Files that are either whole or absent, and model weights that never need a pickle."""
 
+import glob
 import hashlib
 import json
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import NamedTemporaryFile
@@ -44,6 +45,23 @@ def write_text(path: Path | str, text: str) -> None:
 def write_json(path: Path | str, content: Any) -> None:
     """Write `content` as indented JSON to `path`, whole or not at all."""
     write_text(path, json.dumps(content, indent=2, default=str) + "\n")
+
+
+def found_below(places: Iterable[Path | str], name: str) -> list[Path]:
+    """Every file of this name at or below the given files, folders or glob patterns, each once.
+
+    Raises:
+        ValueError: a place under which there is none.
+    """
+    found: dict[Path, Path] = {}
+    for place in places:
+        # a sweep's folder may have brackets or stars in its own name: what exists is taken literally
+        matches = [place] if Path(place).exists() else sorted(glob.glob(str(place), recursive=True))
+        files = [file for match in map(Path, matches) for file in ([match] if match.is_file() else match.rglob(name))]
+        if not files:
+            raise ValueError(f"runs = {place}: there is no {name} at or below it")
+        found |= {file.resolve(): file for file in sorted(files)}
+    return list(found.values())
 
 
 def sha256(path: Path | str) -> str:

@@ -5,7 +5,6 @@ runs of a sweep over conditions) and writes tests.csv, figure6.png, figure6.svg 
 """
 
 import base64
-import glob
 import io
 import json
 from collections.abc import Iterable, Mapping
@@ -19,7 +18,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from airhockey_marl.cli import InputError, command
-from airhockey_marl.files import replacing, sha256, write_text
+from airhockey_marl.files import found_below, replacing, sha256, write_text
 from airhockey_marl.page import template
 from guidance.answers import QUESTIONS, answers
 from guidance.figures import figure6
@@ -36,6 +35,7 @@ from guidance.stats import (
     summary,
 )
 
+TRIALS = "trials.csv"
 SHORT = ("win rate", "smash", "defense", "disagree", "helpful", "natural", "control", "comfort")
 
 
@@ -88,27 +88,6 @@ def screen_table(trials: pd.DataFrame) -> str:
     return "\n".join(lines)
 
 
-def find_trials(runs: Iterable[str | Path]) -> list[Path]:
-    """Every trials file at or below the given files, folders or glob patterns, each once.
-
-    Raises:
-        ValueError: a pattern under which there is none.
-    """
-    found: dict[Path, Path] = {}
-    for run in runs:
-        # a sweep's folder may have brackets or stars in its own name: what exists is taken literally
-        places = (
-            [Path(run)]
-            if Path(run).exists()
-            else [Path(match) for match in sorted(glob.glob(str(run), recursive=True))]
-        )
-        files = [file for place in places for file in ([place] if place.is_file() else place.rglob("trials.csv"))]
-        if not files:
-            raise ValueError(f"no trials.csv at or below {run}")
-        found |= {file.resolve(): file for file in sorted(files)}
-    return list(found.values())
-
-
 def merge(folders: Iterable[str | Path]) -> pd.DataFrame:
     """Concatenate every trials.csv at or below the given files, folders or glob patterns.
 
@@ -116,7 +95,7 @@ def merge(folders: Iterable[str | Path]) -> pd.DataFrame:
         ValueError: nothing found, an unreadable or empty file, a participant's game in a condition that occurs twice
             with the same seed, or runs whose manifest.json tell of different studies (`study_hash`).
     """
-    files = find_trials(folders)
+    files = found_below(folders, TRIALS)
     studies: dict[str, list[str]] = {}
     for file in files:
         if "study_hash" in (manifest := _manifest(file)):
@@ -252,7 +231,7 @@ def main(cfg: DictConfig) -> None:
     runs = [cfg.runs] if isinstance(cfg.runs, str) else list(cfg.runs)
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
     try:
-        files = find_trials(runs)
+        files = found_below(runs, TRIALS)
         trials = merge(files)
         check_trials(trials)
         manifests = {str(file.parent): _manifest(file) for file in files}

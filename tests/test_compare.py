@@ -10,7 +10,7 @@ import torch
 from omegaconf import OmegaConf
 
 from airhockey_marl import compare
-from airhockey_marl.files import save_tensors
+from airhockey_marl.files import found_below, save_tensors
 from airhockey_marl.league import League
 from airhockey_marl.policy import GaussianPolicy
 
@@ -83,7 +83,7 @@ def test_command_plays_and_writes_everything(monkeypatch, capsys, sweep, tmp_pat
 
 
 def test_matches_follow_from_the_seed(sweep):
-    runs = [compare.read_run(folder) for folder in compare.find_runs([sweep])]
+    runs = [compare.read_run(file.parent) for file in found_below([sweep], compare.LEAGUE)]
     first, second, other = (compare.compare(runs[:2], 4, seed) for seed in (1, 1, 2))
     pd.testing.assert_frame_equal(first, second)
     assert not first.equals(other)
@@ -149,15 +149,19 @@ def test_figure_has_every_seed_and_the_mean_of_each_algorithm():
 
 def test_runs_are_found_by_folder_pattern_and_list(sweep):
     everything = [sweep / str(number) for number in range(3)]
-    assert compare.find_runs([sweep]) == everything
-    assert compare.find_runs([f"{sweep}/[02]", sweep / "1"]) == [everything[0], everything[2], everything[1]]
-    assert compare.find_runs([sweep / "0", sweep / "0"]) == everything[:1]
+
+    def found(*places) -> list[Path]:
+        return [file.parent for file in found_below(places, compare.LEAGUE)]
+
+    assert found(sweep) == everything
+    assert found(f"{sweep}/[02]", sweep / "1") == [everything[0], everything[2], everything[1]]
+    assert found(sweep / "0", sweep / "0") == everything[:1]
 
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["runs=nowhere"], "runs = nowhere must be training runs"),
+        (["runs=nowhere"], "runs = nowhere: there is no league.safetensors at or below it"),
         ([], "runs must be chosen"),
         (["runs={sweep}", "rounds=0"], "rounds = 0 must be a whole number of at least 1"),
         (["runs={sweep}", "seed=-1"], "seed = -1"),

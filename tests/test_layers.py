@@ -12,8 +12,11 @@ LEAVES = {
     "guidance": {"maml", "forces", "metrics", "stats"},
 }
 COMMANDS = {
-    *(f"airhockey_marl.{name}" for name in ("train", "league_report", "compare")),
-    *(f"guidance.{name}" for name in ("collect", "battery", "watch", "meta_train", "calibrate", "evaluate")),
+    *(f"airhockey_marl.{name}" for name in ("train", "league_report", "compare", "grid")),
+    *(
+        f"guidance.{name}"
+        for name in ("collect", "battery", "watch", "prediction_report", "meta_train", "calibrate", "evaluate")
+    ),
 }
 
 

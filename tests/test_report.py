@@ -15,9 +15,10 @@ import pytest
 from matplotlib.colors import to_rgba
 from scipy import stats as scipy_stats
 
+from airhockey_marl.files import found_below
 from guidance.answers import answers
 from guidance.figures import COLOURS, confidence_half_width, figure6
-from guidance.report import find_trials, merge, screen_table, write_report
+from guidance.report import merge, screen_table, write_report
 from guidance.stats import CONDITIONS, METRICS, compare_with_paper, published, run_tests, summary
 
 WEIGHTS = {"w_unc_optimal": "ci", "w_unc_user": "fi", "w_sim": "hi"}
@@ -270,7 +271,7 @@ def test_merge_gathers_a_sweep(sweep, trials, places):
 
 def test_merge_takes_existing_names_literally(sweep):
     folder = sweep / "condition=uphg[0]"
-    assert find_trials([folder, str(folder / "trials.csv")]) == [folder / "trials.csv"]
+    assert found_below([folder, str(folder / "trials.csv")], "trials.csv") == [folder / "trials.csv"]
 
 
 def test_merge_refuses_the_same_game_twice(sweep, trials):
