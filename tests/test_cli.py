@@ -238,7 +238,7 @@ def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
         ("train", "gamma=1.5", "gamma = 1.5"),
         ("train", "algorithm.max_kl=0", "max_kl = 0"),
         ("train", "env.backend=gym", "env.backend = 'gym'"),
-        ("train", "league.sampler.delta=2", "delta = 2"),
+        ("train", "league.sampler.first.delta=2", "delta = 2"),
         ("train", "league.anchors=[goalie]", "league.anchors: 'goalie' must be one of random, defender, striker"),
         (
             "train",
@@ -248,7 +248,7 @@ def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
         ("battery", "play_seconds=1", "play_seconds = 1 must be a number of at least 10.0"),
         ("battery", "laboratory=1", "laboratory = 1 must be a whole number of at least 2"),
         ("battery", "users.variant=V9", "users.variant = 'V9' must be one of V0, V1, V2"),
-        ("battery", "~users.population.worth.away_wait", "users.worth = ["),
+        ("battery", "~users.population.worth.away_wait", "users.worth.away_wait must be given"),
         ("battery", "users.population.leap=0", "users.leap = 0 must be a number above 0"),
         ("evaluate", "users.withdrawn=[joy]", "users.withdrawn: 'joy' must be one of helpfulness"),
         ("evaluate", "users.mentors=nobody.safetensors", "no such file: nobody.safetensors"),

@@ -154,8 +154,8 @@ class Population:
                 raise ValueError(f"users.archetypes.{name} = {means} must be {len(TRAITS)} means between 0 and 1")
         if not self.archetypes:
             raise ValueError("users.archetypes = {} must hold at least one archetype")
-        if set(self.worth) != set(WORTHS):
-            raise ValueError(f"users.worth = {sorted(self.worth)} must be exactly {', '.join(WORTHS)}")
+        for name in sorted(set(self.worth) ^ set(WORTHS)):
+            raise ValueError(f"users.worth.{name} {'must be given' if name in WORTHS else 'is worth of nothing'}")
         for name, terms in self.worth.items():
             if len(terms) != WORTH_TERMS or not all(map(is_number, terms)):
                 raise ValueError(f"users.worth.{name} = {terms} must be {WORTH_TERMS} numbers")
