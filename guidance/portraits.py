@@ -152,17 +152,24 @@ def draw_adaptation(found: Mapping, names: Mapping[str, str], path: Path) -> Non
     most = max(np.abs(excess).max(), 1e-9)
     shown = panels[0].imshow(excess, cmap="PuOr_r", vmin=-most, vmax=most)
     figure.colorbar(shown, ax=panels[0], label="% more than their own model's", shrink=0.85)
+    panels[0].xaxis.get_major_locator().set_params(integer=True)
+    panels[0].yaxis.get_major_locator().set_params(integer=True)
     plain(panels[0], "Error of the row's model on the column", "person", "model adapted to")
     before = next(row["rmse"]["mean"] for row in found["ahead"] if row["predictor"] == "before_ua")
     labels = {"minutes": "minutes of play", "steps": "steps of gradient descent"}
     for axes, (key, label) in zip(panels[1:], labels.items(), strict=True):
-        rows = found[key]
+        rows = [row for row in found[key] if row["rmse"]["high"] is not None]  # where it did not diverge
         mean = [row["rmse"]["mean"] for row in rows]
         half = [row["rmse"]["high"] - row["rmse"]["mean"] for row in rows]
-        axes.errorbar([row[key] for row in rows], mean, half, color=BLUE, capsize=3, marker="o", ms=3, label="after UA")
+        at = [row[key] for row in rows]
+        axes.errorbar(at, mean, half, color=BLUE, capsize=3, marker="o", ms=3, label="after UA")
         axes.axhline(before, color=ORANGE, ls="--", label="before UA")
         plain(axes, f"Error by {label} for UA", label, "units of action")
-    panels[1].set_xscale("log")
+        axes.set_xscale("log")
+        axes.set_xticks(at, [f"{value:g}" for value in at])
+        axes.minorticks_off()
+    if max(mean) > 1.0:  # as wide as the whole table
+        panels[2].set_yscale("log")
     panels[1].legend(frameon=False, fontsize=8)
     save(figure, path)
 

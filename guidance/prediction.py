@@ -141,6 +141,10 @@ def interval(values: np.ndarray, confidence: float = 0.95) -> tuple[float, float
     return mean, mean - half, mean + half
 
 
-def with_intervals(per_person: Mapping[str, np.ndarray]) -> dict[str, dict[str, float]]:
-    """Mean, low and high of each entry."""
-    return {name: dict(zip(("mean", "low", "high"), interval(v), strict=True)) for name, v in per_person.items()}
+def with_intervals(per_person: Mapping[str, np.ndarray]) -> dict[str, dict[str, float | None]]:
+    """Mean, low and high of each entry; None where they are not finite, as JSON knows no other word for it."""
+    found = {}
+    for name, values in per_person.items():
+        numbers = zip(("mean", "low", "high"), interval(values), strict=True)
+        found[name] = {key: number if math.isfinite(number) else None for key, number in numbers}
+    return found
