@@ -36,6 +36,19 @@ def start(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess:
     )
 
 
+def kill_at_the_first_checkpoint(run: Path, *arguments: str) -> Path:
+    """Start a command with `run` as its folder, and end it with SIGKILL as soon as it has written its state."""
+    command = [sys.executable, "-m", *arguments, f"hydra.run.dir={run}"]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while not (run / "state.safetensors").exists():
+        assert process.poll() is None
+        time.sleep(0.001)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (run / "card.json").exists()
+    return run
+
+
 def smoke(*arguments: str) -> subprocess.CompletedProcess:
     done = start(*arguments, "+preset=smoke")
     assert done.returncode == 0, done.stderr
@@ -84,15 +97,7 @@ def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, env):
     few = ["+preset=smoke", "generations=4", "steps_per_generation=500", f"env={env}"]
     whole = start("airhockey_marl.train", *few, f"hydra.run.dir={tmp_path}/whole")
     assert whole.returncode == 0, whole.stderr
-    killed = tmp_path / "killed"
-    command = [sys.executable, "-m", "airhockey_marl.train", *few, f"hydra.run.dir={killed}"]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while not (killed / "state.safetensors").exists():
-        assert process.poll() is None
-        time.sleep(0.001)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert not (killed / "card.json").exists()
+    killed = kill_at_the_first_checkpoint(tmp_path / "killed", "airhockey_marl.train", *few)
     resumed = start("airhockey_marl.train", f"resume={killed}", f"hydra.run.dir={tmp_path}/log")
     assert resumed.returncode == 0, resumed.stderr
     first, second = (json.loads((tmp_path / name / "card.json").read_text()) for name in ("whole", "killed"))
@@ -114,15 +119,7 @@ def test_meta_train_killed_and_resumed_ends_like_one_never_killed(trained, tmp_p
     ]
     whole = start("guidance.meta_train", *few, f"hydra.run.dir={tmp_path}/whole")
     assert whole.returncode == 0, whole.stderr
-    killed = tmp_path / "killed"
-    command = [sys.executable, "-m", "guidance.meta_train", *few, f"hydra.run.dir={killed}"]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    while not (killed / "state.safetensors").exists():
-        assert process.poll() is None
-        time.sleep(0.001)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
-    assert not (killed / "card.json").exists()
+    killed = kill_at_the_first_checkpoint(tmp_path / "killed", "guidance.meta_train", *few)
     resumed = start("guidance.meta_train", f"resume={killed}", f"hydra.run.dir={tmp_path}/log")
     assert resumed.returncode == 0, resumed.stderr
     for name in ("meta", "user"):
