@@ -34,7 +34,7 @@ def test_the_opponent_is_the_newest_within_both_ranges():
 
 
 def test_the_command_writes_what_it_found_and_what_it_rests_on(monkeypatch, tmp_path, capsys):
-    short = ["study.rounds=1", "study.extra_rounds=0", "study.min_seconds=0", "study.round_seconds=4", "games=2"]
+    short = ["study.rounds=2", "study.extra_rounds=0", "study.min_seconds=0", "study.round_seconds=12", "games=2"]
     monkeypatch.setattr(sys, "argv", ["calibrate", "opponent=80", *short, f"hydra.run.dir={tmp_path}"])
     calibrate.main()
     found = OmegaConf.load(tmp_path / "calibration.yaml")
