@@ -34,6 +34,7 @@ from guidance.users import Population, load_mentors, sample_people
 from guidance.users.rating import RATINGS
 from guidance.users.reaction import Variant
 
+FROZEN = Path(__file__).parent / "frozen.json"  # study_hash and seed of the study
 VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas", "pingouin")
 
 
@@ -86,25 +87,37 @@ def main(cfg: DictConfig) -> None:
     folder = Path(HydraConfig.get().runtime.output_dir)
     with replacing(folder / "trials.csv") as temporary:
         trials.to_csv(temporary, index=False)
-    files = {"opponents": cfg.models.opponents, "mentors": cfg.users.mentors}
-    hashes = models.hashes | {name: sha256(path) for name, path in files.items() if path is not None}
-    facts = manifest(cfg, hashes, time.perf_counter() - began)
+    command_line = " ".join(["python -m guidance.evaluate", *HydraConfig.get().overrides.task])
+    facts = manifest(cfg, hashes_of(cfg, models), command_line, time.perf_counter() - began)
     write_json(folder / "manifest.json", facts)
     write_report(trials, folder, facts)
     print(screen_table(trials))
-    print(f"\nreport: {folder / 'report.html'}")
+    print("" if facts["frozen"] else "\nNOT the frozen study: its configuration, models or seed differ; exploratory.")
+    print(f"report: {folder / 'report.html'}")
 
 
-def manifest(cfg: DictConfig, hashes: dict[str, str], seconds: float) -> dict:
-    """What a result came from. `study_hash` is the same for runs that may be merged: all but seed and condition."""
+def hashes_of(cfg: DictConfig, models: Models) -> dict[str, str]:
+    """SHA-256 of every file that a study rests on, by what it is for."""
+    files = {"opponents": cfg.models.opponents, "mentors": cfg.users.mentors}
+    return models.hashes | {name: sha256(path) for name, path in files.items() if path is not None}
+
+
+def manifest(cfg: DictConfig, hashes: dict[str, str], command_line: str, seconds: float) -> dict:
+    """What a result came from.
+
+    `study_hash` is the same for runs that may be merged: all but seed and condition. `frozen` says whether it is, with
+    the seed, that of the study which was fixed before any condition was compared.
+    """
     config = OmegaConf.to_container(cfg, resolve=True)
     shared = {key: value for key, value in config.items() if key not in ("condition", "models", "seed", "threads")}
     shared["users"] = {key: value for key, value in shared["users"].items() if key != "mentors"}  # hashed, like models
     digest = hashlib.sha256(json.dumps([shared, hashes], sort_keys=True).encode()).hexdigest()
+    fixed = json.loads(FROZEN.read_text(encoding="utf-8"))
     return {
-        "command": " ".join(["python -m guidance.evaluate", *HydraConfig.get().overrides.task]),
+        "command": command_line,
         "seed": cfg.seed,
         "study_hash": digest,
+        "frozen": (digest, cfg.seed) == (fixed["study_hash"], fixed["seed"]),
         "models": hashes,
         "versions": {name: version(name) for name in VERSIONS},
         "seconds": round(seconds, 1),

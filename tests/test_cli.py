@@ -10,12 +10,15 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+from hydra import compose, initialize_config_dir
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from airhockey_marl import compare, league_report, train
+from airhockey_marl.cli import CONF
 from airhockey_marl.files import load_tensors, save_tensors
 from airhockey_marl.policy import GaussianPolicy
 from guidance import battery, collect, evaluate, meta_train, report
+from guidance.models import Models
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMANDS = {
@@ -181,6 +184,17 @@ def test_evaluate_all_nine(models, tmp_path):
     for letter in "abcdefghi":
         assert f"({letter})" in done.stdout
     assert not [path for path in tmp_path.iterdir() if path.name.startswith(".") and path.is_file()]
+
+
+def test_the_shipped_defaults_are_the_frozen_study():
+    """Whoever changes a default, a model or a user changes the study, and has to say so in guidance/frozen.json."""
+    with initialize_config_dir(str(CONF), version_base=None):
+        cfg = compose("evaluate")
+    models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+    facts = evaluate.manifest(cfg, evaluate.hashes_of(cfg, models), "", 0.0)
+    assert facts["frozen"]
+    cfg.opponent += 1
+    assert not evaluate.manifest(cfg, evaluate.hashes_of(cfg, models), "", 0.0)["frozen"]
 
 
 def test_a_sweep_over_the_nine_merges_into_the_report_of_one_run(models, tmp_path):
