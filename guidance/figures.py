@@ -1,5 +1,7 @@
 """Figure 6 of the paper: the eight metrics under the nine conditions, from a tidy table of games."""
 
+from collections.abc import Collection
+
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -20,11 +22,12 @@ def confidence_half_width(scores: pd.DataFrame) -> pd.Series:
     return scores.sem() * stats.t.isf(0.025, (n - 1).where(n > 1))
 
 
-def figure6(trials: pd.DataFrame) -> Figure:
+def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = ()) -> Figure:
     """Draw the paper's Figure 6 (section 5).
 
     Args:
         trials: one row per participant and condition; any subset of the nine conditions.
+        withdrawn: metrics that count for nothing; their panels say so.
 
     Returns:
         Eight panels, the objective metrics above, the proxies of the ratings below; a bar per condition present in
@@ -35,7 +38,9 @@ def figure6(trials: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(13.5, 6.6), layout="constrained")
     panels = figure.subplots(2, 4).flat
     for axes, (name, metric) in zip(panels, METRICS.items(), strict=True):
-        _draw_bars(axes, trials.pivot(index="user", columns="condition", values=name)[present], metric)
+        _draw_bars(
+            axes, trials.pivot(index="user", columns="condition", values=name)[present], metric, name in withdrawn
+        )
     legend = [
         Patch(color=COLOURS[CONDITIONS[name].guidance], label=f"({CONDITIONS[name].letter}) {CONDITIONS[name].label}")
         for name in present
@@ -45,7 +50,7 @@ def figure6(trials: pd.DataFrame) -> Figure:
     return figure
 
 
-def _draw_bars(axes: Axes, scores: pd.DataFrame, metric: Metric) -> None:
+def _draw_bars(axes: Axes, scores: pd.DataFrame, metric: Metric, withdrawn: bool) -> None:
     """Draw one panel; scores (participants, conditions present)."""
     conditions = [CONDITIONS[name] for name in scores]
     places = np.arange(len(conditions))
@@ -60,7 +65,8 @@ def _draw_bars(axes: Axes, scores: pd.DataFrame, metric: Metric) -> None:
         axes.set_yticks([])  # a scale without values would be made up
     for place in places[np.isnan(mean)]:
         axes.annotate("–", (place, 0.03), xycoords=("data", "axes fraction"), ha="center", fontsize=13, color="#666666")
-    axes.set_title(f"{metric.label} (PROXY)" if proxy else metric.label, fontsize=11, fontweight="bold")
+    mark = " (PROXY, withdrawn)" if withdrawn else " (PROXY)" if proxy else ""
+    axes.set_title(metric.label + mark, fontsize=11, fontweight="bold")
     axes.set_ylabel("proxy of the 7-point rating" if proxy else metric.unit, fontsize=9, color="#444444")
     axes.set_xticks(places, [f"({condition.letter})" for condition in conditions])
     middle, half_span = (len(conditions) - 1) / 2, max(len(conditions), 5) / 2  # a lone bar is no wall

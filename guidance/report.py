@@ -64,7 +64,7 @@ def write_report(trials: pd.DataFrame, folder: Path | str, manifest: Mapping[str
         tests.to_csv(path, index=False)
     # no date and a fixed salt: the same trials give the same bytes
     with matplotlib.rc_context({"svg.hashsalt": "figure6", "font.family": "DejaVu Sans"}):
-        figure, svg = figure6(trials), io.BytesIO()
+        figure, svg = figure6(trials, _withdrawn(manifest)), io.BytesIO()
         with replacing(folder / "figure6.png") as path:
             figure.savefig(path, dpi=150)
         figure.savefig(svg, format="svg", metadata={"Date": None})

@@ -43,7 +43,7 @@ def population() -> Population:
 
 def play(people: np.ndarray, seed: int, ticks: int = TICKS) -> collect.Demonstrations:
     """What the command should have collected."""
-    opponent = confident(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(25))
+    opponent = confident(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(55))
     return demonstrations.collect(people, opponent, GAMES, ticks, Table(), "V1", MENTORS, seed)
 
 
@@ -94,7 +94,7 @@ def test_the_people_are_listed_with_every_parameter(folder):
 def test_the_card_tells_where_it_comes_from_and_how_to_open_it(folder, monkeypatch):
     card = json.loads((folder / "card.json").read_text())
     assert "SIMULATED" in card["data"] and card["config"]["people"] == "training"
-    facts = {"seed": 3, "opponent_generation": 25, "users": 9, "games": GAMES, "ticks": TICKS, "tick_s": 0.02}
+    facts = {"seed": 3, "opponent_generation": 55, "users": 9, "games": GAMES, "ticks": TICKS, "tick_s": 0.02}
     assert {name: card[name] for name in facts} == facts
     assert set(card["sha256"]) == DATA and all(sha256(folder / name) == card["sha256"][name] for name in DATA)
     assert set(card["columns"]) == set(dataset.COLUMNS) and len(card["opponents_sha256"]) == 64
