@@ -21,7 +21,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from torch import Tensor
 
-from airhockey_marl.cli import InputError, command, input_errors, require_counts, require_numbers
+from airhockey_marl.cli import command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import replacing
 from airhockey_marl.league import League
 from airhockey_marl.match import Player, confident
@@ -33,7 +33,7 @@ from guidance.study import Protocol, no_force, play_games, streams
 from guidance.styles import features, recognised, told_apart
 from guidance.users import Mentors, Population, Users, load_mentors, sample_people
 from guidance.users.laboratory import fitts_slopes, mechanics, push_response, reaches, reaction_times, timing_errors
-from guidance.users.reaction import Variant
+from guidance.users.reaction import Variant, check_variant
 
 SKILLS = (-1.5, 0.0, 1.5)  # of the people whose rounds are counted, in SD of the usual population
 GAME, SKILL_TRIAL = Protocol(familiarisation=0, rounds=14, extra_rounds=0, min_seconds=0, round_seconds=30), 3000
@@ -61,8 +61,7 @@ def main(cfg: DictConfig) -> None:
         require_counts(cfg, "laboratory", "per_style", least=2)
         require_counts(cfg, "seed", least=0)
         require_numbers(cfg, "play_seconds", least=10.0)
-        if cfg.users.variant not in Variant.__members__:
-            raise InputError(f"users.variant = {cfg.users.variant!r} must be one of {', '.join(Variant.__members__)}")
+        check_variant(cfg.users.variant)
         population: Population = hydra.utils.instantiate(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
         opponent = confident(League.load(cfg.models.opponents).player(cfg.opponent))

@@ -30,6 +30,7 @@ from guidance.maml import forward_each
 from guidance.models import Models
 from guidance.study import Games, no_force, play_games, streams
 from guidance.users import Users, load_mentors, training_people
+from guidance.users.reaction import check_variant
 
 OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has the number of its condition
 
@@ -38,6 +39,7 @@ OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has 
 def main(cfg: DictConfig) -> None:
     with input_errors():
         require_counts(cfg, "threads", "every")
+        check_variant(cfg.users.variant)
         require_counts(cfg, "games", least=2)  # UA from one, uncertainty in the others
         require_counts(cfg, "seed", least=0)
         require_numbers(cfg, "w_unc.optimal", "w_unc.user", "low_over_high", at_most=0.999)

@@ -32,7 +32,7 @@ from guidance.report import screen_table, write_report
 from guidance.study import Protocol, run_study
 from guidance.users import Population, load_mentors, sample_people
 from guidance.users.rating import RATINGS
-from guidance.users.reaction import Variant
+from guidance.users.reaction import check_variant
 
 FROZEN = Path(__file__).parent / "frozen.json"  # study_hash and seed of the study
 VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas", "pingouin")
@@ -65,8 +65,7 @@ def main(cfg: DictConfig) -> None:
         for name in cfg.users.withdrawn:
             if name not in RATINGS:
                 raise ValueError(f"users.withdrawn: {name!r} must be one of {', '.join(RATINGS)}")
-        if cfg.users.variant not in Variant.__members__:
-            raise ValueError(f"users.variant = {cfg.users.variant!r} must be one of {', '.join(Variant.__members__)}")
+        check_variant(cfg.users.variant)
     torch.set_num_threads(cfg.threads)
     progress = ProgressBar()
     trials = run_study(

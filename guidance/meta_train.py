@@ -36,6 +36,7 @@ from guidance.prediction import judge, predictors
 from guidance.rounds import action_ahead
 from guidance.user_model import Demonstrations, train_maml, train_supervised
 from guidance.users import Population, load_mentors, sample_people, training_people
+from guidance.users.reaction import check_variant
 
 STATE = "state.safetensors"
 HELD_OUT_SEED = 1_000_003  # the card's people: neither the training users nor those of a study with a small seed
@@ -61,6 +62,7 @@ def main(cfg: DictConfig) -> None:
         if cfg.resume is not None:
             cfg = config_of(Path(cfg.resume), STATE)
         check(cfg)
+        check_variant(cfg.users.variant)
         population: Population = hydra.utils.instantiate(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
         opponent = confident(League.load(cfg.models.opponents).player(cfg.opponent))

@@ -42,7 +42,7 @@ from guidance.prediction import (
 from guidance.rounds import action_ahead
 from guidance.user_model import Demonstrations, adapt_to_user
 from guidance.users import Population, load_mentors, sample_people
-from guidance.users.reaction import Variant
+from guidance.users.reaction import check_variant
 
 NAMES = {
     "persistence": "the paddle's place",
@@ -51,7 +51,7 @@ NAMES = {
     "before_ua": "meta-learned model, before UA",
     "after_ua": "meta-learned model, after UA",
 }
-PLAY_AHEAD = 3  # every so many-th tick, where everybody's model predicts everybody
+EVERY = 3  # every so many-th tick, where everybody's model predicts everybody
 
 
 def check(cfg: DictConfig) -> None:
@@ -70,8 +70,7 @@ def check(cfg: DictConfig) -> None:
     if min(cfg.minutes) > most:
         raise InputError(f"minutes = {list(cfg.minutes)} must hold one of at most {most:.3g}, the play there is for UA")
     require_numbers(cfg, "demonstrations.ticks", above=2 * max(cfg.ahead) / Table().tick)
-    if cfg.users.variant not in Variant.__members__:
-        raise InputError(f"users.variant = {cfg.users.variant!r} must be one of {', '.join(Variant.__members__)}")
+    check_variant(cfg.users.variant)
 
 
 @command("prediction_report")
@@ -90,7 +89,7 @@ def main(cfg: DictConfig) -> None:
     progress("predictions", 0.0)
     found = {
         "ahead": errors_ahead(models, data, list(cfg.ahead), table),
-        "matrix": everybody_by_everybody(models, data).tolist(),
+        "matrix": everybody_by_everybody(models, data, table).tolist(),
         "minutes": by_amount(models, data, list(cfg.minutes), table),
         "steps": by_steps(models, data, list(cfg.steps), table),
         "reliability": reliabilities(models, data, table),
@@ -128,11 +127,12 @@ def errors_ahead(models: Models, data: Demonstrations, ahead: list[float], table
 
 
 @torch.no_grad()
-def everybody_by_everybody(models: Models, data: Demonstrations) -> np.ndarray:
+def everybody_by_everybody(models: Models, data: Demonstrations, table: Table) -> np.ndarray:
     """(people, people) root mean square error on column's last game of the model adapted to row's first."""
     adapted = models.adapted_to(list(zip(data.observation[:, 0], data.action[:, 0], strict=True)))
-    observation, action = data.observation[:, -1, ::PLAY_AHEAD], data.action[:, -1, ::PLAY_AHEAD]
-    rows = []
+    observation = data.observation[:, -1]
+    action = action_ahead(observation, data.action[:, -1], models.ahead, table)[:, ::EVERY]
+    observation, rows = observation[:, ::EVERY], []
     for own in adapted:
         mean, _ = adapted_model(models.meta, own)(observation.flatten(0, 1))
         error = action - mean.unflatten(0, action.shape[:2])
@@ -186,8 +186,9 @@ def reliabilities(models: Models, data: Demonstrations, table: Table) -> dict[st
     found: dict[str, list[tuple[Tensor, Tensor]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
         everybody: dict[str, Predictor] = known(models, observation[0], action[0], table)
+        then = action_ahead(observation[-1], action[-1], models.ahead, table)
         for name in ("supervised", "before_ua", "after_ua"):
-            found.setdefault(name, []).append(reliability(everybody[name], observation[-1], action[-1]))
+            found.setdefault(name, []).append(reliability(everybody[name], observation[-1], then))
     return {
         name: {
             key: torch.stack([pair[place] for pair in pairs]).mean(0).tolist()

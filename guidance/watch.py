@@ -34,7 +34,7 @@ from guidance.models import Guide, Models
 from guidance.study import LETTERS, NO_CONDITION, Protocol, no_force, play_games, streams
 from guidance.users import Population, Users, load_mentors, sample_people
 from guidance.users.intention import Intention
-from guidance.users.reaction import Variant
+from guidance.users.reaction import check_variant
 
 LONGEST = 60  # s: all pictures of a film are in memory together
 MOST_SKILL = 4.0  # standard deviations
@@ -126,8 +126,7 @@ def check(cfg: DictConfig, ticks_per_second: int) -> None:
     require_numbers(cfg, "speed", at_most=ticks_per_second / cfg.frames_per_second)
     if cfg.get("condition") is None:
         raise InputError(f"condition = null must be one of {', '.join(choices()['condition'])}")
-    if cfg.users.variant not in Variant.__members__:
-        raise InputError(f"users.variant = {cfg.users.variant!r} must be one of {', '.join(Variant.__members__)}")
+    check_variant(cfg.users.variant)
 
 
 def chosen_person(cfg: DictConfig) -> np.ndarray:

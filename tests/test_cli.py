@@ -261,6 +261,7 @@ def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
         ("battery", "users.variant=V9", "users.variant = 'V9' must be one of V0, V1, V2"),
         ("battery", "~users.population.worth.away_wait", "users.worth.away_wait must be given"),
         ("battery", "users.population.leap=0", "users.leap = 0 must be a number above 0"),
+        ("meta_train", "users.variant=V9", "users.variant = 'V9' must be one of V0, V1, V2"),
         ("evaluate", "users.withdrawn=[joy]", "users.withdrawn: 'joy' must be one of helpfulness"),
         ("evaluate", "users.mentors=nobody.safetensors", "no such file: nobody.safetensors"),
         ("train", "algorithm.fisher_share=2", "algorithm.fisher_share = 2"),

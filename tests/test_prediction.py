@@ -3,14 +3,17 @@
 import json
 import math
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from torch import nn
 
 from airhockey_marl.table import Table, reach
 from guidance import prediction_report
 from guidance.maml import parameters
+from guidance.models import Models
 from guidance.prediction import (
     SIGMAS,
     adapted_model,
@@ -24,6 +27,7 @@ from guidance.prediction import (
     predictors,
     reliability,
 )
+from guidance.user_model import Demonstrations
 from tests.test_user_model import ALPHA, Gaussian
 
 TABLE = Table()
@@ -120,6 +124,32 @@ def test_a_model_of_ones_own_is_found_better():
     assert found["own"]["mean"] == pytest.approx(4 / 3)
     assert found["others"]["mean"] == pytest.approx((3 + 4 + 3.5) / 3)
     assert found["advantage"]["mean"] == pytest.approx((2 + 2 + 2.5) / 3)
+
+
+def test_models_of_the_action_ahead_are_judged_by_the_action_ahead():
+    """A model that says at once where the hand will be in 0.1 s is right about it, and its own player's."""
+    lead = TABLE.tick * 5
+    observation, action = gliding(400, lead=0.0)
+    data = Demonstrations(*(part.repeat(2, 2, 1, 1) for part in (observation, action)))
+
+    class Prophet(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.shift = nn.Parameter(torch.zeros(2))
+
+        def forward(self, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            place, velocity = paddle(seen, TABLE)
+            turned = math.cos(2 * lead) * place + math.sin(2 * lead) / 2 * velocity  # exact, on an ellipse
+            return turned + self.shift, torch.full_like(place, 0.01)
+
+    prophet = Prophet()
+    models = Models(prophet, prophet, prophet, 1e-9, {}, ahead=lead)
+    matrix = prediction_report.everybody_by_everybody(models, data, TABLE)
+    assert matrix.shape == (2, 2) and matrix.max() < 0.03
+    found = prediction_report.reliabilities(models, data, TABLE)
+    assert np.median(found["after_ua"]["seen"]) < 1e-3
+    late = prediction_report.everybody_by_everybody(replace(models, ahead=0.0), data, TABLE)
+    assert late.min() > 0.05
 
 
 @pytest.fixture(scope="module")

@@ -20,6 +20,16 @@ class Variant(IntEnum):
     V2 = 2
 
 
+def check_variant(name: str) -> None:
+    """Refuse a name that is no variant's.
+
+    Raises:
+        ValueError: names the key of the configuration, the value and what is allowed.
+    """
+    if name not in Variant.__members__:
+        raise ValueError(f"users.variant = {name!r} must be one of {', '.join(Variant.__members__)}")
+
+
 @njit(cache=True)
 def agreement(person, force_x, force_y, away_x, away_y):
     """How much of a force helps on the way `away` to the own goal, and how much of it is against it, both in N.
