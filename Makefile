@@ -18,6 +18,7 @@ test-slow: .venv/installed .venv/compiled  ## the long ones
 
 bench: .venv/installed .venv/compiled  ## speeds of this machine, as one JSON object
 	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bench]'
+	@$(BIN)/python -m pip download --quiet --no-deps --no-binary :all: --dest .venv/peers learn2learn==0.2.0 || true
 	@$(BIN)/python -m tests.benchmarks
 
 board: .venv/installed  ## TensorBoard on outputs/

@@ -9,6 +9,7 @@ Writes into its run folder: meta.safetensors, user.safetensors, card.json (what 
 they have not seen), tensorboard/, and after each epoch state.safetensors, from which `resume` goes on.
 """
 
+import shutil
 import sys
 import time
 from functools import partial
@@ -24,10 +25,18 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from airhockey_marl.checkpoint import Checkpoint
-from airhockey_marl.cli import ProgressBar, command, config_of, input_errors, require_counts, require_numbers
+from airhockey_marl.cli import (
+    InputError,
+    ProgressBar,
+    command,
+    config_of,
+    input_errors,
+    require_counts,
+    require_numbers,
+)
 from airhockey_marl.files import sha256, write_json
+from airhockey_marl.inference import steady
 from airhockey_marl.league import League
-from airhockey_marl.match import confident
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.table import Table
 from guidance.demonstrations import collect
@@ -39,6 +48,7 @@ from guidance.users import Population, load_mentors, sample_people, training_peo
 from guidance.users.reaction import check_variant
 
 STATE = "state.safetensors"
+COMPILERS = ("g++", "clang++")  # that torch.compile looks for
 HELD_OUT_SEED = 1_000_003  # the card's people: neither the training users nor those of a study with a small seed
 
 
@@ -54,6 +64,8 @@ def check(cfg: DictConfig) -> None:
     require_counts(cfg, "demonstrations.ticks", least=cfg.maml.block)
     require_numbers(cfg, "ahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "maml.inner_lr", "maml.lr", "maml.max_norm", "supervised.lr")
+    if cfg.maml.compiled and not any(map(shutil.which, COMPILERS)):
+        raise InputError(f"maml.compiled = true needs a C++ compiler, one of {', '.join(COMPILERS)}, and finds none")
 
 
 @command("meta_train")
@@ -65,7 +77,7 @@ def main(cfg: DictConfig) -> None:
         check_variant(cfg.users.variant)
         population: Population = hydra.utils.instantiate(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
-        opponent = confident(League.load(cfg.models.opponents).player(cfg.opponent))
+        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
     torch.set_num_threads(cfg.threads)

@@ -1,6 +1,8 @@
 """Eq. 1 and 2 against arithmetic by hand, other implementations and finite differences; and MAML's sinusoids."""
 
 import math
+import re
+import sys
 from functools import partial
 
 import pytest
@@ -8,9 +10,10 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 from torch.func import functional_call, grad
-from torch.nn.functional import linear, mse_loss
+from torch.nn.functional import linear
 from torch.testing import assert_close
 
+from guidance.examples.sinusoid import errors_after, main, network, train
 from guidance.maml import MAML, adapt, adapt_each, forward, forward_each, meta_loss, parameters
 
 LR = 0.1
@@ -330,46 +333,23 @@ def test_bad_input_is_refused_by_name(model, loss):
         forward_each(model, parameters(model), users(3, seed=15)[0])
 
 
-# the sinusoids of Finn et al. 2017, section 5.1: amplitude in [0.1, 5], phase in [0, pi], x in [-5, 5], K = 10
-
-
-def sinusoids(count, generator, demo=10, valid=10):
-    amplitude = 0.1 + 4.9 * torch.rand(count, 1, 1, generator=generator)
-    phase = math.pi * torch.rand(count, 1, 1, generator=generator)
-
-    def sample(n):
-        x = 10 * torch.rand(count, n, 1, generator=generator) - 5  # (tasks, n, 1)
-        return x, amplitude * torch.sin(x - phase)
-
-    return sample(demo), sample(valid)
-
-
-def learn_sinusoids(iterations):
-    """2 x 40 ReLU, one inner step of 0.01, 25 tasks a meta-step, Adam 0.001; the error before and after adaptation."""
+def learn_sinusoids(meta_steps):
+    """The error before and after one step of adaptation."""
     torch.manual_seed(0)
-    model = nn.Sequential(nn.Linear(1, 40), nn.ReLU(), nn.Linear(40, 40), nn.ReLU(), nn.Linear(40, 1))
-    params, optimizer = parameters(model), torch.optim.Adam(model.parameters(), lr=1e-3)
-
-    def loss(theta, data):
-        return mse_loss(forward(model, theta, data[0]), data[1])
-
-    generator = torch.Generator().manual_seed(1)
-    for _ in range(iterations):
-        demo, valid = sinusoids(25, generator)
-        optimizer.zero_grad()
-        meta_loss(params, loss, demo, valid, lr=0.01).backward()
-        optimizer.step()
-
-    demo, valid = sinusoids(600, torch.Generator().manual_seed(2), valid=100)  # tasks never trained on
-    with torch.no_grad():
-        before = torch.vmap(partial(loss, params))(valid).mean().item()
-        after = torch.vmap(loss)(adapt_each(params, loss, demo, lr=0.01), valid).mean().item()
-    return before, after
+    model = network()
+    train(model, meta_steps, torch.Generator().manual_seed(1))
+    return errors_after(model, [0, 1]).values()
 
 
 def test_sinusoids_begin_to_be_learnt():
     before, after = learn_sinusoids(500)  # measured: 2.96 before, 1.93 after
     assert after < 0.75 * before
+
+
+def test_the_example_prints_its_errors(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["sinusoid", "3"])
+    main()
+    assert re.fullmatch(r"(after [ \d]\d steps: \d+\.\d\d\n){5}", capsys.readouterr().out)
 
 
 @pytest.mark.slow

@@ -1,6 +1,7 @@
 """Eq. 3 by hand, the pairing of demonstrations, and both trainings on synthetic users who differ in gain and offset."""
 
 import math
+import shutil
 
 import pytest
 import torch
@@ -230,6 +231,23 @@ def test_the_meta_gradient_is_clipped_to_its_norm(model):
 
     assert last_norm(math.inf) > 0.1
     assert last_norm(0.1) == pytest.approx(0.1, rel=1e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("g++") is None, reason="torch.compile needs a C++ compiler")
+def test_the_compiled_meta_step_is_the_same_step():
+    """One epoch of several Adam steps; parameters agree to rounding, and the metrics with them."""
+    runs = []
+    for compiled in (False, True):
+        torch.manual_seed(0)
+        model = Gaussian()
+        metrics = list(
+            train_maml(
+                model, synthetic_users(seed=1), 1, BLOCK, ALPHA, max_norm=1.0, compiled=compiled, generator=seeded()
+            )
+        )
+        runs.append(([p.detach() for p in model.parameters()], torch.tensor(list(metrics[0].values()))))
+    torch.testing.assert_close(runs[0], runs[1], rtol=1e-4, atol=1e-5)
 
 
 @pytest.mark.parametrize(

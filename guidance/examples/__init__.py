@@ -1,0 +1,1 @@
+"""The parts of this package at work on other problems than air hockey."""
