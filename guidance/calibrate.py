@@ -21,14 +21,14 @@ from torch import Tensor
 
 from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import write_text
+from airhockey_marl.inference import steady
 from airhockey_marl.league import League
-from airhockey_marl.match import confident
 from airhockey_marl.table import Table
 from guidance.conditions import ADAPTED, OPTIMAL
 from guidance.forces import uncertainty_weight
+from guidance.games import Games, no_force, play_games, streams
 from guidance.maml import forward_each
 from guidance.models import Models
-from guidance.study import Games, no_force, play_games, streams
 from guidance.users import Users, load_mentors, training_people
 from guidance.users.reaction import check_variant
 
@@ -60,7 +60,7 @@ def main(cfg: DictConfig) -> None:
         ]
         minds, serves = (np.concatenate(part) for part in keys)
         seated = Users(np.repeat(people, cfg.games), minds, Table(), cfg.users.variant, mentors)
-        opponent = confident(league.player(generation))
+        opponent = steady(league.player(generation))
         return play_games(seated, opponent, no_force, protocol, Table(), serves, demonstrations)
 
     trials = {}

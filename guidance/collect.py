@@ -25,8 +25,8 @@ from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, require_counts
 from airhockey_marl.files import replacing, sha256, write_json
+from airhockey_marl.inference import steady
 from airhockey_marl.league import League
-from airhockey_marl.match import confident
 from airhockey_marl.table import Table
 from guidance import demonstrations
 from guidance.dataset import (
@@ -76,7 +76,7 @@ def main(cfg: DictConfig) -> None:
         people, mentors = draw(cfg.seed, population), load_mentors(cfg.users.mentors)
     torch.set_num_threads(cfg.threads)
     progress, table, sizes = ProgressBar(), Table(), (cfg.demonstrations.games, cfg.demonstrations.ticks)
-    told, opponent = partial(progress, f"{len(people)} people play"), confident(league.player(cfg.opponent))
+    told, opponent = partial(progress, f"{len(people)} people play"), steady(league.player(cfg.opponent))
     data = demonstrations.collect(people, opponent, *sizes, table, cfg.users.variant, mentors, cfg.seed, told)
     progress.close()
     who = people_table(people, list(population.archetypes))

@@ -8,7 +8,7 @@ import torch
 from airhockey_marl.match import Player
 from airhockey_marl.table import LEFT, RIGHT, Table
 from airhockey_marl.tables import Tables
-from guidance.study import streams
+from guidance.games import streams
 from guidance.user_model import Demonstrations
 from guidance.users import Mentors, Users
 

@@ -94,12 +94,12 @@ def _record_tick(sheet, before, after, by_user, by_opponent, served, goal, table
 
 
 @njit(cache=True)
-def record(sheets, which, before, after, touched, served, goals, disagreed, table):
-    """Enter one tick of play into the sheets of the games in the mask `which`.
+def record(sheets, games, before, after, touched, served, goals, disagreed, table):
+    """Enter one tick of play into the sheets of some games.
 
     Args:
         sheets: (n,) `GAME_SHEET`.
-        which: (n,) bool.
+        games: (k,) int64, those that are scored.
         before, after: (n, 4) the puck (x, y, vx, vy) around the tick, the user's goal at x = -length / 2.
         touched: (n,) bits: 1 the user, 2 the opponent.
         served: (n,) bool, the puck was served anew.
@@ -107,11 +107,10 @@ def record(sheets, which, before, after, touched, served, goals, disagreed, tabl
         disagreed: (n,) the tick's disagreement in N.
         table: the `Table` played on.
     """
-    for i in range(len(sheets)):
-        if which[i]:
-            by_user, by_opponent = (touched[i] & 1) != 0, (touched[i] & 2) != 0
-            _record_tick(sheets[i], before[i], after[i], by_user, by_opponent, served[i], goals[i], table)
-            sheets[i].disagreement += disagreed[i]
+    for i in games:
+        by_user, by_opponent = (touched[i] & 1) != 0, (touched[i] & 2) != 0
+        _record_tick(sheets[i], before[i], after[i], by_user, by_opponent, served[i], goals[i], table)
+        sheets[i].disagreement += disagreed[i]
 
 
 def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
@@ -128,18 +127,26 @@ def results(sheets: np.ndarray) -> dict[str, np.ndarray]:
     }
 
 
+@njit(cache=True)
+def _add(games, values, count, mean, squares):
+    for k in range(len(games)):
+        i, value = games[k], values[k]
+        if value == value:
+            count[i] += 1
+            change = value - mean[i]
+            mean[i] += change / count[i]
+            squares[i] += change * (value - mean[i])
+
+
 class Moments:
     """Running mean and standard deviation of a weight within each game (Welford), in memory flat in its length."""
 
     def __init__(self, n: int) -> None:
         self.count, self.mean, self._squares = np.zeros(n), np.zeros(n), np.zeros(n)
 
-    def add(self, which: np.ndarray, values: np.ndarray) -> None:
-        """Add values (n,) of the games in the boolean mask `which` (n,)."""
-        self.count += which
-        change = np.where(which, values - self.mean, 0.0)
-        self.mean += change / np.maximum(self.count, 1)
-        self._squares += np.where(which, change * (values - self.mean), 0.0)
+    def add(self, games: np.ndarray, values: np.ndarray) -> None:
+        """Add values (k,) of some games (k,), leaving out what is not a number."""
+        _add(games, values, self.count, self.mean, self._squares)
 
     def result(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and population SD (n,) of each game; not a number where nothing was added."""

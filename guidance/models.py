@@ -1,10 +1,9 @@
-"""The trained models a guidance needs, their files, and the forces of many conditions at once."""
+"""The trained models a guidance needs, and their files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-import numpy as np
 import torch
 from tensordict import TensorDict
 from torch import Tensor
@@ -13,7 +12,7 @@ from airhockey_marl.files import load_tensors, save_tensors, sha256
 from airhockey_marl.league import League, require_weights
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.table import Table
-from guidance.conditions import ADAPTED, OPTIMAL, USER, Condition, Guided, Target
+from guidance.conditions import OPTIMAL
 from guidance.forces import lookahead
 from guidance.maml import parameters
 from guidance.rounds import action_ahead
@@ -100,72 +99,3 @@ class Models:
     def anticipated(self, model: str, state: Tensor, seconds: float) -> Tensor:
         """The looked-ahead state of Eq. 4, for one of the models: only as far as it does not look ahead itself."""
         return lookahead(state, seconds if model == OPTIMAL else max(seconds - self.ahead, 0.0))
-
-
-class Guide:
-    """The forces of several conditions for the same users, in one call.
-
-    Rows are ordered condition by condition: row c * users + u is user u under condition c.
-
-    Args:
-        conditions: what to evaluate.
-        users: how many there are.
-        models: see `Models`.
-        adapted: the users' own parameters, batch size (users,), or None if no condition has UA.
-        lookahead_seconds: T_lookahead of Eq. 4.
-
-    Raises:
-        ValueError: a condition has UA and nobody's parameters are given, or the look-ahead is negative.
-    """
-
-    def __init__(
-        self,
-        conditions: Sequence[Condition],
-        users: int,
-        models: Models,
-        adapted: TensorDict | None,
-        lookahead_seconds: float,
-    ) -> None:
-        if not 0 <= lookahead_seconds < float("inf"):
-            raise ValueError(f"guidance.lookahead = {lookahead_seconds} must be at least 0 seconds")
-        self.conditions, self.users, self.models = list(conditions), users, models
-        self.lookahead_seconds = lookahead_seconds
-        self._asking = {
-            name: [c for c, condition in enumerate(self.conditions) if name in condition.guidance.models()]
-            for name in (OPTIMAL, USER, ADAPTED)
-        }
-        if self._asking[ADAPTED] and (adapted is None or adapted.batch_size != (users,)):
-            raise ValueError(f"adapted: needs the parameters of each of the {users} users")
-        self._adapted = {} if adapted is None else adapted.flatten_keys(".").to_dict()
-
-    @torch.no_grad()
-    def __call__(self, state: np.ndarray, action: np.ndarray) -> Guided:
-        """Force and weights for states (n, 12) in m and m/s and actions (n, 2), n = conditions x users.
-
-        Returns:
-            `Guided` of float64 arrays' tensors: force (n, 2); weights (n,), not a number where a row has none.
-        """
-        conditions, users = len(self.conditions), self.users
-        present = torch.from_numpy(state).float().view(conditions, users, -1)
-        hand = torch.from_numpy(action).float().view(conditions, users, 2)
-        targets = {name: self._ask(name, present[asking]) for name, asking in self._asking.items() if asking}
-        places = {name: {c: i for i, c in enumerate(asking)} for name, asking in self._asking.items()}
-
-        answer = Guided(torch.zeros(conditions, users, 2), *torch.full((3, conditions, users), torch.nan))
-        for c, condition in enumerate(self.conditions):
-            wanted = condition.guidance.models()
-            mine = {name: Target(*(part[places[name][c]] for part in targets[name])) for name in wanted}
-            for whole, part in zip(answer, condition.guidance(hand[c], mine), strict=True):
-                if part is not None:
-                    whole[c] = part
-        return Guided(*(part.flatten(0, 1).double() for part in answer))
-
-    def _ask(self, model: str, state: Tensor) -> Target:
-        """Mean and STD (conditions, users, 2) at the states (conditions, users, 12), looked ahead."""
-        state = self.models.anticipated(model, state, self.lookahead_seconds)
-        if model == OPTIMAL:
-            return Target(*self.models.optimal(state))
-        if model == USER:
-            return Target(*self.models.user(state))
-        mean, std = self.models.meta.forward_each(self._adapted, state.transpose(0, 1))
-        return Target(mean.transpose(0, 1), std.transpose(0, 1))

@@ -22,8 +22,8 @@ from torch import Tensor
 
 from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import sha256, write_json, write_text
+from airhockey_marl.inference import steady
 from airhockey_marl.league import League
-from airhockey_marl.match import confident
 from airhockey_marl.page import template
 from airhockey_marl.table import Table
 from guidance.demonstrations import collect
@@ -80,7 +80,7 @@ def main(cfg: DictConfig) -> None:
         population: Population = hydra.utils.instantiate(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
         models = Models.load(cfg.models.league, -1, cfg.models.user, cfg.models.meta)
-        opponent = confident(League.load(cfg.models.opponents).player(cfg.opponent))
+        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
     torch.set_num_threads(cfg.threads)
     progress, table = ProgressBar(), Table()
     people = sample_people(cfg.participants, cfg.seed, population)

@@ -12,6 +12,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
+from string import ascii_lowercase
 
 import hydra
 import numpy as np
@@ -24,14 +25,17 @@ from torch import Tensor
 
 from airhockey_marl.cli import InputError, ProgressBar, choices, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import replacing
+from airhockey_marl.inference import steady
 from airhockey_marl.league import League
-from airhockey_marl.match import Player, confident
+from airhockey_marl.match import Player
 from airhockey_marl.table import LEFT, PUCK, RIGHT, Table
 from airhockey_marl.tables import Tables
 from guidance.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidance, Guided, Target
 from guidance.drawing import NARROWEST, Scene, draw_sheet, save_film
-from guidance.models import Guide, Models
-from guidance.study import LETTERS, NO_CONDITION, Protocol, no_force, play_games, streams
+from guidance.games import Protocol, no_force, play_games, streams
+from guidance.guide import Guide
+from guidance.models import Models
+from guidance.study import NO_CONDITION
 from guidance.users import Population, Users, load_mentors, sample_people
 from guidance.users.intention import Intention
 from guidance.users.reaction import check_variant
@@ -62,12 +66,10 @@ def main(cfg: DictConfig) -> None:
     with input_errors():
         check(cfg, round(1 / table.tick))
         condition: Condition = hydra.utils.instantiate(cfg.condition)
-        if condition.letter not in tuple(LETTERS):
-            raise InputError(f"condition.letter = {condition.letter} must be one of {', '.join(LETTERS)}")
         protocol: Protocol = hydra.utils.instantiate(cfg.study)
         person, mentors = chosen_person(cfg), load_mentors(cfg.users.mentors)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        opponent = confident(League.load(cfg.models.opponents).player(cfg.opponent))
+        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
     torch.set_num_threads(cfg.threads)
     progress = ProgressBar()
     asks, adapted = condition.guidance.models(), None
@@ -82,7 +84,7 @@ def main(cfg: DictConfig) -> None:
         users, serves = seat(NO_CONDITION)
         game = play_games(users, opponent, no_force, protocol, table, serves, keep_demonstrations=True)
         adapted = models.adapted_to(game.demonstrations)
-    users, serves = seat(LETTERS.index(condition.letter))
+    users, serves = seat(ascii_lowercase.index(condition.letter))
     ticks = play(users, condition, models, adapted, opponent, cfg.guidance.lookahead, table, serves, cfg.seconds)
 
     archetypes = list(cfg.users.population.archetypes)

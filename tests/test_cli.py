@@ -197,19 +197,16 @@ def test_the_shipped_defaults_are_the_frozen_study():
     assert not evaluate.manifest(cfg, evaluate.hashes_of(cfg, models), "", 0.0)["frozen"]
 
 
-def test_a_sweep_over_the_nine_merges_into_the_report_of_one_run(models, tmp_path):
-    smoke("guidance.evaluate", "-m", "condition=glob(*)", *models, f"hydra.sweep.dir={tmp_path}/sweep")
-    assert len(list((tmp_path / "sweep").glob("*/trials.csv"))) == 9
-    done = start("guidance.report", f"runs={tmp_path}/sweep", f"out={tmp_path}/merged", f"hydra.run.dir={tmp_path}/r")
+def test_a_sweep_over_the_nine_merges_into_the_report_of_one_run(monkeypatch, models, tmp_path):
+    monkeypatch.setenv("AIRHOCKEY_OUTPUTS", str(tmp_path / "outputs"))
+    smoke("guidance.evaluate", "-m", "condition=glob(*)", *models)
+    (sweep,) = (tmp_path / "outputs" / "evaluate").glob("*/*-sweep")
+    assert len(list(sweep.glob("*/trials.csv"))) == 9
+    done = start("guidance.report", f"runs={sweep}", f"out={tmp_path}/merged", f"hydra.run.dir={tmp_path}/r")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "merged" / "report.html").is_file()
     smoke("guidance.evaluate", *models, f"hydra.run.dir={tmp_path}/one")
-    merged, one = (pd.read_csv(tmp_path / name / "tests.csv") for name in ("merged", "one"))
-    assert list(merged["family"]) == list(one["family"]) and list(merged["metric"]) == list(one["metric"])
-    # What is always defined. Two-round games may have no goal or shot, and a model asked about another number of rows
-    # at once rounds otherwise, which play amplifies.
-    defined = merged["metric"].isin(["mean_disagreement", "helpfulness", "naturalness", "controllability", "comfort"])
-    assert list(merged.loc[defined, "n"]) == list(one.loc[defined, "n"])
+    assert (tmp_path / "merged" / "tests.csv").read_bytes() == (tmp_path / "one" / "tests.csv").read_bytes()
 
 
 def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:

@@ -15,8 +15,8 @@ from tensordict import NonTensorData, TensorDict
 
 from airhockey_marl.cli import CONF
 from airhockey_marl.files import sha256
+from airhockey_marl.inference import steady
 from airhockey_marl.league import League
-from airhockey_marl.match import confident
 from airhockey_marl.table import Table
 from airhockey_marl.tables import Tables
 from guidance import collect, dataset, demonstrations
@@ -43,7 +43,7 @@ def population() -> Population:
 
 def play(people: np.ndarray, seed: int, ticks: int = TICKS) -> collect.Demonstrations:
     """What the command should have collected."""
-    opponent = confident(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(55))
+    opponent = steady(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(55))
     return demonstrations.collect(people, opponent, GAMES, ticks, Table(), "V1", MENTORS, seed)
 
 

@@ -19,7 +19,7 @@ def play(*ticks: dict) -> dict[str, float]:
     for entry in ticks:
         record(
             sheets,
-            np.array([entry.get("scored", True)]),
+            np.flatnonzero([entry.get("scored", True)]),
             np.array([entry["before"]], dtype=float),
             np.array([entry["after"]], dtype=float),
             np.array([entry.get("touched", 0)]),
@@ -105,7 +105,7 @@ def test_moments_agree_with_numpy():
     counted[:, 4] = False
     moments = Moments(5)
     for which, value in zip(counted, values, strict=True):
-        moments.add(which, np.where(which, value, np.nan))
+        moments.add(np.arange(5), np.where(which, value, np.nan))
     mean, sd = moments.result()
     for game in range(4):
         chosen = values[counted[:, game], game]

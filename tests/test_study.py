@@ -1,6 +1,7 @@
 """The protocol of section 4.2, with people, models and tables in it."""
 
 from collections import Counter
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,8 +12,10 @@ from airhockey_marl.match import confident
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.table import Table
 from guidance.conditions import Combined, Condition, NoGuidance, Spring, Thresholds, Toward
-from guidance.models import Guide, Models
-from guidance.study import Protocol, no_force, order_of, play_games, run_study, streams, williams
+from guidance.games import Protocol, no_force, play_games, streams
+from guidance.guide import Guide
+from guidance.models import Models
+from guidance.study import Cohort, order_of, run_studies, run_study, williams
 from guidance.users import NO_MENTORS, Users, sample_people
 
 SHORT = Protocol(familiarisation=0.2, rounds=2, extra_rounds=1, min_seconds=4, round_seconds=3)
@@ -44,7 +47,7 @@ def opponent(observation: torch.Tensor) -> torch.Tensor:
 
 def study(models, conditions, protocol=SHORT, people=3, seed=0, **kwargs):
     people, how = sample_people(people, 100), (Table(), "V1", NO_MENTORS, SCALES)
-    return run_study(people, conditions, models, opponent, 0.1, protocol, *how, seed, **kwargs)
+    return run_study(people, conditions, models, opponent, 0.1, protocol, *how, seed=seed, **kwargs)
 
 
 def test_the_same_seed_gives_the_same_trials(models):
@@ -63,8 +66,26 @@ def test_no_force_is_nhg_bit_for_bit(models):
 
 
 def test_a_condition_is_played_alike_alone_and_among_others(models):
-    together, alone = study(models, [NHG, OAHG, UPHG_UA]), study(models, [NHG])
-    assert together[together["condition"] == "nhg"].reset_index(drop=True).equals(alone)
+    """To the last bit, models and springs included."""
+    together = study(models, [NHG, OAHG, UPHG_UA, COMBHG])
+    for condition in (NHG, OAHG, UPHG_UA, COMBHG):
+        alone = study(models, [condition])
+        assert together[together["condition"] == condition.name].reset_index(drop=True).equals(alone)
+
+
+def test_a_study_is_played_alike_alone_and_beside_others(models):
+    """A hundred people are enough for the kernels that run in parallel to be used."""
+    cohorts = [Cohort(sample_people(n, n), n) for n in (3, 100, 4)]
+    how = ([NHG, OAHG, COMBHG], models, opponent, 0.1, SHORT, Table(), "V1", NO_MENTORS, SCALES)
+    for cohort, trials in zip(cohorts, run_studies(cohorts, *how), strict=True):
+        assert trials.equals(run_studies([cohort], *how)[0])
+
+
+def test_a_condition_beyond_the_nine_comes_after_them(models):
+    trials = study(models, [NHG, replace(OAHG, name="mine", letter="k"), replace(OAHG, name="other", letter="j")])
+    assert (trials["position"][trials["condition"] == "mine"] == 11).all()
+    assert (trials["position"][trials["condition"] == "other"] == 10).all()
+    assert trials["position"][trials["condition"] == "nhg"].le(9).all()
 
 
 def test_rows_and_columns_are_those_of_trials_csv(models):

@@ -7,8 +7,8 @@ import pytest
 import torch
 
 from airhockey_marl.cli import CONF
+from airhockey_marl.inference import steady
 from airhockey_marl.league import League
-from airhockey_marl.match import confident
 from airhockey_marl.table import Table
 from guidance.battery import by_skill
 from guidance.demonstrations import collect
@@ -21,7 +21,7 @@ EACH, TICKS = 10, 3000
 
 @pytest.fixture(scope="module")
 def opponent():
-    return confident(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(25))
+    return steady(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(25))
 
 
 @pytest.fixture(scope="module")

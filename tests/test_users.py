@@ -86,7 +86,7 @@ def test_a_person_does_not_depend_on_who_else_is_there():
 
 
 def test_people_are_blind_to_all_but_state_and_force():
-    assert list(inspect.signature(Users.step).parameters) == ["self", "state", "force"]
+    assert list(inspect.signature(Users.step).parameters) == ["self", "state", "force", "rows"]
     users = Users(sample_people(2, 0), personal_streams(2, 0))
     for view in (users.action, users.hand, users.hand_velocity, users.goal, users.intention):
         with pytest.raises(ValueError, match="read-only"):

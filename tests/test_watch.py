@@ -19,8 +19,8 @@ from guidance import watch
 from guidance.conditions import Combined, Condition, Guided, NoGuidance, Spring, Thresholds, Toward
 from guidance.drawing import ARROW, NARROWEST, PAPER, TARGETS, Scene, draw_moment, draw_play, draw_sheet, save_film
 from guidance.forces import uncertainty_weight
+from guidance.games import Protocol, play_games, streams
 from guidance.models import Models
-from guidance.study import Protocol, play_games, streams
 from guidance.users import Users, sample_people
 from guidance.users.arm import HAND_REACH
 
@@ -115,7 +115,7 @@ def test_the_log_is_the_game_of_the_study(models):
     """The same person, streams and condition in the study's own loop: the same states tick by tick, over goals too."""
     states = []
 
-    def forces(state: np.ndarray, action: np.ndarray) -> Guided:
+    def forces(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> Guided:
         states.append(np.concatenate([state[0], HAND_REACH * action[0]]))
         return Guided(torch.zeros(1, 2, dtype=torch.float64))
 
@@ -242,7 +242,7 @@ def test_a_goal_stays(tmp_path):
         ("width=100", f"width = 100 must be a whole number of at least {NARROWEST}"),
         ("condition=oahgg", "condition = oahgg must be one of combhg_ua, "),
         ("~condition", "condition = null must be one of combhg_ua, "),
-        ("condition.letter=x", "condition.letter = x must be one of a, b, c"),
+        ("condition.letter=7", "condition.letter = 7 must be one of a to z"),
         ("users.variant=V9", "users.variant = 'V9' must be one of V0, V1, V2"),
         ("opponent=1000", "generation = 1000"),
         ("models.meta=nowhere", "no such file: nowhere"),

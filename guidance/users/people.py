@@ -9,7 +9,7 @@ from guidance.users.arm import ARM
 from guidance.users.intention import NOTHING, Intention
 from guidance.users.mentors import NO_MENTORS, Mentors
 from guidance.users.mind import MIND
-from guidance.users.player import begin_rounds, play
+from guidance.users.player import begin_rounds, play, play_in_parallel
 from guidance.users.population import PERSON
 from guidance.users.rating import SIGNALS, TALLY, answers, appraisals, signals
 from guidance.users.reaction import Variant
@@ -31,6 +31,8 @@ class Users:
     Raises:
         ValueError: a shape, dtype or variant is wrong.
     """
+
+    PARALLEL_FROM = 256  # rows; below, starting the threads costs more than they save
 
     def __init__(
         self,
@@ -60,7 +62,7 @@ class Users:
         self._off, self._minds["told"] = np.zeros((self.n, ring, 2, 4)), NOTHING
         self._seen, self._felt = np.zeros((self.n, ring, 12)), np.zeros((self.n, ring, 2))
         self._partner, self._trail = np.zeros((self.n, ring, 2)), np.zeros((self.n, ring, 4))
-        self._action = np.zeros((self.n, 2))
+        self._all, self._action = np.arange(self.n), np.zeros((self.n, 2))
         self.new_game(np.ones(self.n, dtype=bool))
 
     def new_round(self, which: np.ndarray) -> None:
@@ -88,12 +90,13 @@ class Users:
         """
         self._minds["told"] = NOTHING if intention is None else intention
 
-    def step(self, state: np.ndarray, force: np.ndarray) -> np.ndarray:
+    def step(self, state: np.ndarray, force: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
         """Live through one tick.
 
         Args:
             state: (n, 12) float64 as `tables.observe` writes it: own paddle, other paddle, puck, each x, y, vx, vy.
             force: (n, 2) float64, the device's force on the hand in N, held for the tick.
+            rows: (k,) int64, who lives through it, everyone if None; for the others time stands still.
 
         Returns:
             (n, 2) float64 action in [-1, 1]: the hand's position over its reach of 0.075 m. The same array each time.
@@ -106,7 +109,10 @@ class Users:
                 raise ValueError(f"{name} of shape {np.shape(value)} must be ({self.n}, {columns})")
             if not np.isfinite(value).all():
                 raise ValueError(f"{name} = {np.asarray(value)[~np.isfinite(value)][0]} must be finite")
-        play(
+        rows = self._all if rows is None else rows
+        live = play_in_parallel if len(rows) >= self.PARALLEL_FROM else play
+        live(
+            rows,
             self.people,
             self._minds,
             self._arms,

@@ -5,6 +5,9 @@ than any figure alone where a machine is shared.
 """
 
 import json
+import math
+import os
+import shutil
 import statistics
 import tempfile
 import time
@@ -17,23 +20,26 @@ import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
 from tensordict.nn import TensorDictSequential
+from torch.func import grad_and_value
 from torchrl.collectors import Collector
 
 from airhockey_marl.cli import CONF
 from airhockey_marl.env import SEATS, AirHockey, make_env
+from airhockey_marl.inference import steady
 from airhockey_marl.league import League
-from airhockey_marl.match import confident
 from airhockey_marl.policy import USER_PREDICTION_HIDDEN, GaussianPolicy
 from airhockey_marl.seats import LEARNER, OPPONENT, actor
 from airhockey_marl.table import Table
 from airhockey_marl.tables import Tables
 from airhockey_marl.train import train
 from guidance.evaluate import chosen_conditions
-from guidance.maml import MAML, forward, meta_loss, parameters
+from guidance.maml import forward, meta_loss, parameters
+from guidance.meta_train import COMPILERS
 from guidance.models import Models
 from guidance.study import run_study
 from guidance.user_model import prediction_loss
 from guidance.users import Users, load_mentors, personal_streams, sample_people
+from tests.benchmarks.peer_maml import peer_maml
 from tests.benchmarks.peer_trpo import peer_frames
 
 
@@ -46,6 +52,10 @@ def seconds(task: Callable[[], object], runs: int = 5) -> float:
         task()
         times.append(time.perf_counter() - began)
     return statistics.median(times)
+
+
+def ratio(whole: float | None, part: float | None) -> float | None:
+    return None if whole is None or part is None else round(whole / part, 2)
 
 
 def config(command: str, *overrides: str):
@@ -108,29 +118,53 @@ def trained_frames(*overrides: str, generations: int = 2, steps: int = 100_000) 
     return generations * steps / seconds(run, runs=1)
 
 
-def maml_steps(users: int = 9, ticks: int = 1000) -> tuple[float, float]:
-    """ms of a second-order meta-step with its backward pass: batched over users, and user by user."""
+def maml_steps(users: int = 9, ticks: int = 1000) -> dict[str, float]:
+    """ms of a second-order meta-step of nine users by the fastest number of threads: ours, compiled, and the peer's.
+
+    Runs take turns, so that a slow moment of the machine slows all of them.
+    """
     torch.manual_seed(0)
-    model = GaussianPolicy(USER_PREDICTION_HIDDEN)
+    model, peer = GaussianPolicy(USER_PREDICTION_HIDDEN), peer_maml()
     demo, valid = ((torch.randn(users, ticks, 12), torch.randn(users, ticks, 2)) for _ in range(2))
 
     def loss(params, data):
         return prediction_loss(*forward(model, params, data[0]), data[1])
 
+    def eq2(params, demo, valid):
+        return meta_loss(params, loss, demo, valid, lr=0.1)
+
     def batched() -> None:
         model.zero_grad()
-        meta_loss(parameters(model), loss, demo, valid, lr=0.1).backward()
+        eq2(parameters(model), demo, valid).backward()
 
-    def one_by_one() -> None:
+    def user_by_user() -> None:
         model.zero_grad()
-        maml, total = MAML(model, lr=0.1), 0.0
+        maml, total = peer.MAML(model, lr=0.1), 0.0
         for user in range(users):
             learner = maml.clone()
             learner.adapt(prediction_loss(*learner(demo[0][user]), demo[1][user]))
             total = total + prediction_loss(*learner(valid[0][user]), valid[1][user])
         total.backward()
 
-    return 1000 * seconds(batched), 1000 * seconds(one_by_one)
+    steps = {"batched": batched}
+    if any(map(shutil.which, COMPILERS)):
+        fused = torch.compile(grad_and_value(eq2))
+        steps["compiled"] = lambda: fused(parameters(model).detach(), demo, valid)
+    if peer is not None:
+        steps["peer"] = user_by_user
+    best = dict.fromkeys(steps, math.inf)
+    for threads in range(1, 1 + min(4, os.cpu_count() or 1)):
+        torch.set_num_threads(threads)
+        times: dict[str, list[float]] = {name: [] for name in steps}
+        for turn in range(12):
+            for name, step in steps.items():
+                began = time.perf_counter()
+                step()
+                if turn:  # the first compiles
+                    times[name].append(1000 * (time.perf_counter() - began))
+        best = {name: min(best[name], statistics.median(times[name])) for name in steps}
+    torch.set_num_threads(1)
+    return best
 
 
 def people_tick(n: int, ticks: int = 200) -> float:
@@ -160,7 +194,7 @@ def study() -> float:
         run_study,
         conditions=chosen_conditions(cfg),
         models=models,
-        opponent=confident(League.load(cfg.models.opponents).player(cfg.opponent)),
+        opponent=steady(League.load(cfg.models.opponents).player(cfg.opponent)),
         lookahead_seconds=cfg.guidance.lookahead,
         table=Table(),
         variant=cfg.users.variant,
@@ -177,7 +211,7 @@ def study() -> float:
 def main() -> None:
     torch.set_num_threads(1)
     single, batched = pettingzoo_steps(), batched_ticks()
-    maml, maml_looped = maml_steps()
+    maml = maml_steps()
     ours, equal_work = trained_frames(), trained_frames("algorithm.fisher_share=1")
     peer = peer_frames()
     best = next(iter(peer.values())) if peer else None
@@ -188,8 +222,8 @@ def main() -> None:
         "trpo_frames_per_s": round(ours),
         "trpo_over_sb3_contrib": best and round(ours / best, 2),
         "trpo_over_sb3_contrib_with_all_states_in_the_fisher_matrix": best and round(equal_work / best, 2),
-        "maml_ms_per_step": round(maml, 1),
-        "maml_user_by_user_over_batched": round(maml_looped / maml, 2),
+        **{f"maml_{name}_ms_per_step": round(ms, 1) for name, ms in maml.items()},
+        "maml_compiled_over_learn2learn": ratio(maml.get("peer"), maml.get("compiled")),
         "people_tick_180_ms": round(people_tick(180), 3),
         "people_tick_10000_over_180_per_person": round(people_tick(10_000) / people_tick(180) * 180 / 10_000, 2),
         "study_20_users_s": round(study(), 1),

@@ -1,0 +1,215 @@
+"""Games of section 4.2, side by side, whoever sits at the device: unscored play, rounds, extra rounds, metrics.
+
+Each game has its own streams of random numbers and is played as if it were alone: which others are on at the same time
+does not change a bit of it, and one that is over costs nothing more.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Protocol as Interface
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from airhockey_marl.match import Player
+from airhockey_marl.table import LEFT, PUCK, RIGHT, Table
+from airhockey_marl.tables import Tables
+from guidance.conditions import Guided
+from guidance.metrics import Moments, disagreement, new_sheets, record, results
+
+
+class Participants(Interface):
+    """n people at their devices, simulated or real: all that a game asks of them."""
+
+    @property
+    def action(self) -> np.ndarray: ...  # (n, 2) where the hand is, over its reach
+
+    def new_round(self, which: np.ndarray) -> None: ...  # (n,) bool
+
+    def new_game(self, which: np.ndarray) -> None: ...
+
+    def step(self, state: np.ndarray, force: np.ndarray, rows: np.ndarray) -> np.ndarray: ...
+
+
+@dataclass(frozen=True)
+class Protocol:
+    """How long a game is (section 4.2).
+
+    Attributes:
+        familiarisation: s of unscored play before each game.
+        rounds: rounds of a game.
+        extra_rounds: at most so many more, while the game is shorter than `min_seconds`.
+        min_seconds: s.
+        round_seconds: s after which a round without a goal ends undecided.
+    """
+
+    familiarisation: float
+    rounds: int
+    extra_rounds: int
+    min_seconds: float
+    round_seconds: float
+
+    def __post_init__(self) -> None:
+        for name, least in (("familiarisation", 0), ("rounds", 1), ("extra_rounds", 0), ("min_seconds", 0)):
+            if not getattr(self, name) >= least:
+                raise ValueError(f"study.{name} = {getattr(self, name)} must be at least {least}")
+        if not self.round_seconds > 0:
+            raise ValueError(f"study.round_seconds = {self.round_seconds} must be above 0")
+
+
+class Schedule:
+    """Where n games are in the protocol.
+
+    Attributes:
+        playing: (k,) int64, the games that are on, ascending; a new array whenever one has ended.
+        scored: whether the familiarisation is over.
+        rounds, ticks: (n,) rounds that are over, and ticks of scored play.
+    """
+
+    def __init__(self, n: int, protocol: Protocol, tick_seconds: float) -> None:
+        self.protocol, self.tick_seconds = protocol, tick_seconds
+        self.unscored_ticks = round(protocol.familiarisation / tick_seconds)
+        self.playing, self.scored, self._elapsed = np.arange(n), False, 0
+        self.rounds, self.ticks, self._round_ticks = np.zeros((3, n), dtype=np.int64)
+
+    def begins(self) -> bool:
+        """Whether the scored game begins now, for everyone at once."""
+        if self.scored or self._elapsed < self.unscored_ticks:
+            return False
+        self.scored = True
+        self._round_ticks[:] = 0
+        return True
+
+    def tick(self, goals: np.ndarray) -> np.ndarray:
+        """A tick has been played, with these goals (n,): the mask (n,) of the rounds that have ended with it."""
+        games, protocol, seconds = self.playing, self.protocol, self.tick_seconds
+        self._elapsed += 1
+        self._round_ticks[games] += 1
+        ended = np.zeros(len(goals), dtype=bool)
+        ended[games] = (goals[games] != 0) | (self._round_ticks[games] * seconds >= protocol.round_seconds)
+        if self.scored:
+            self.ticks[games] += 1
+        if ended.any():
+            self._round_ticks[ended] = 0
+            if self.scored:
+                self.rounds += ended
+                long_enough = self.ticks * seconds >= protocol.min_seconds
+                long_enough |= self.rounds >= protocol.rounds + protocol.extra_rounds
+                over = ended & (self.rounds >= protocol.rounds) & long_enough
+                if over.any():
+                    self.playing = games[~over[games]]
+        return ended
+
+
+@dataclass
+class Games:
+    """What n games side by side have brought.
+
+    Attributes:
+        results: the objective metrics, (n,) each.
+        rounds, seconds: (n,) rounds played, and s of scored play.
+        weights: mean and SD (n,) of each weight within each game.
+        demonstrations: per game the scored observations (ticks, 12) and actions (ticks, 2), if they were asked for.
+    """
+
+    results: dict[str, np.ndarray]
+    rounds: np.ndarray
+    seconds: np.ndarray
+    weights: dict[str, np.ndarray]
+    demonstrations: list[tuple[Tensor, Tensor]]
+
+
+Forces = Callable[[np.ndarray, np.ndarray, np.ndarray], Guided]
+"""States (n, 12), actions (n, 2) and k games -> their forces and weights."""
+
+
+def no_force(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> Guided:
+    """NHG for everyone."""
+    return Guided(torch.zeros(len(games), 2, dtype=torch.float64))
+
+
+def streams(seed: int, users: Sequence[int], condition: int, purpose: int) -> np.ndarray:
+    """(users,) uint64: a stream for each user's game in a condition; purpose 0 is the person, 1 the table."""
+    keys = [np.random.SeedSequence([seed, user, condition, purpose]) for user in users]
+    return np.array([key.generate_state(1, np.uint64)[0] for key in keys], dtype=np.uint64)
+
+
+@torch.no_grad()
+def play_games(
+    participants: Participants,
+    opponent: Player,
+    forces: Forces,
+    protocol: Protocol,
+    table: Table,
+    table_streams: np.ndarray,
+    keep_demonstrations: bool = False,
+    progress: Callable[[float], None] = lambda share: None,
+) -> Games:
+    """Play one game at each of n tables; participants sit at the left seat.
+
+    Args:
+        opponent: plays the right seat of all tables.
+        forces: the guidance of each game.
+        table_streams: (n,) uint64, the serves' random numbers.
+        keep_demonstrations: keep what was seen and done in scored play.
+        progress: is told the share of the rounds that are over.
+    """
+    n = len(table_streams)
+    tables, schedule, everyone = Tables(n, table), Schedule(n, protocol, table.tick), np.ones(n, dtype=bool)
+    tables.rng[:] = table_streams
+    tables.new_rounds()
+    participants.new_game(everyone)
+
+    sheets, weights = new_sheets(n), {name: Moments(n) for name in Guided._fields[1:]}
+    seen, seen_by_opponent = np.empty((n, 12)), np.empty((n, 12), dtype=np.float32)
+    force, actions = np.zeros((n, 2)), np.zeros((n, 2, 2))
+    trail: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
+
+    while len(games := schedule.playing):
+        if schedule.begins():
+            tables.new_rounds()
+            participants.new_game(everyone)
+        tables.observe(LEFT, seen)
+        before, puck_before = participants.action.copy(), tables.bodies[:, PUCK].copy()
+        guided = forces(seen, before, games)
+        force[games] = guided.force.numpy()
+        actions[:, LEFT] = participants.step(seen, force, games)
+        tables.observe(RIGHT, seen_by_opponent)
+        actions[games, RIGHT] = opponent(torch.from_numpy(seen_by_opponent[games])).numpy()
+        tables.step(actions, rows=games)
+
+        if schedule.scored:
+            puck, moved = tables.bodies[:, PUCK], actions[:, LEFT] - before
+            how = tables.touched, tables.served, tables.goals
+            record(sheets, games, puck_before, puck, *how, disagreement(force, moved), table)
+            for name, moments in weights.items():
+                if getattr(guided, name) is not None:
+                    moments.add(games, getattr(guided, name).numpy())
+            if keep_demonstrations:
+                trail.append((games, seen[games].astype(np.float32), actions[games, LEFT].astype(np.float32)))
+        ended = schedule.tick(tables.goals)
+        if ended.any():
+            tables.new_rounds(ended)
+            participants.new_round(ended)
+            progress(float(np.minimum(schedule.rounds / protocol.rounds, 1).mean()))
+
+    summaries = {name: moments.result() for name, moments in weights.items()}
+    return Games(
+        results=results(sheets),
+        rounds=schedule.rounds,
+        seconds=schedule.ticks * table.tick,
+        weights={
+            f"{name}_{part}": values[i] for name, values in summaries.items() for i, part in enumerate(("mean", "sd"))
+        },
+        demonstrations=_by_game(trail, n),
+    )
+
+
+def _by_game(trail: list[tuple[np.ndarray, np.ndarray, np.ndarray]], n: int) -> list[tuple[Tensor, Tensor]]:
+    if not trail:
+        return []
+    games, seen, done = (np.concatenate(part) for part in zip(*trail, strict=True))
+    order, ends = np.argsort(games, kind="stable"), np.cumsum(np.bincount(games, minlength=n))[:-1]
+    parts = (np.split(part[order], ends) for part in (seen, done))
+    return [(torch.from_numpy(x), torch.from_numpy(y)) for x, y in zip(*parts, strict=True)]
