@@ -7,6 +7,7 @@ any leading batch dimensions, so one call serves all users of a condition.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from string import ascii_lowercase
 from typing import NamedTuple, Protocol
 
 import torch
@@ -111,13 +112,16 @@ class Toward:
     def models(self) -> frozenset[str]:
         return frozenset({self.model})
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
-        target = targets[self.model]
+    def pull(self, action: Tensor, target: Target) -> tuple[Tensor, Tensor | None]:
+        """The force (..., 2) toward a target, whichever model it is from, and W_unc (...), or None without UT."""
         force = self.spring.force(action, target.mean)
         if self.uncertainty is None:
-            return Guided(force)
+            return force, None
         weight = uncertainty_weight(target.std, self.uncertainty.low, self.uncertainty.high)
-        force = weight.unsqueeze(-1) * force
+        return weight.unsqueeze(-1) * force, weight
+
+    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
+        force, weight = self.pull(action, targets[self.model])
         return Guided(force, w_unc_optimal=weight) if self.model == OPTIMAL else Guided(force, w_unc_user=weight)
 
 
@@ -132,20 +136,79 @@ class Combined:
     def models(self) -> frozenset[str]:
         return self.optimal.models() | self.user.models()
 
+    def join(self, optimal: Tensor, user: Tensor) -> tuple[Tensor, Tensor | None]:
+        """The combination (..., 2) of the two forces, and W_sim (...), or None without SC."""
+        force = combine(optimal, user)
+        if not self.similarity:
+            return force, None
+        weight = similarity_weight(optimal, user)
+        return weight.unsqueeze(-1) * force, weight
+
     def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
         optimal, user = self.optimal(action, targets), self.user(action, targets)
-        force, weight = combine(optimal.force, user.force), None
-        if self.similarity:
-            weight = similarity_weight(optimal.force, user.force)
-            force = weight.unsqueeze(-1) * force
+        force, weight = self.join(optimal.force, user.force)
         return Guided(force, optimal.w_unc_optimal, user.w_unc_user, weight)
 
 
 @dataclass(frozen=True)
+class Product:
+    """Not the paper's: one spring toward the product of the models' Gaussians, the more precise of which says more.
+
+    So one would combine two independent measurements of the same action; per axis,
+    mean = (mean_o / std_o^2 + mean_u / std_u^2) / (1 / std_o^2 + 1 / std_u^2).
+    """
+
+    optimal: str
+    user: str
+    spring: Spring
+
+    def models(self) -> frozenset[str]:
+        return frozenset({self.optimal, self.user})
+
+    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
+        optimal, user = targets[self.optimal], targets[self.user]
+        precision, other = optimal.std.square().reciprocal(), user.std.square().reciprocal()
+        mean = (optimal.mean * precision + user.mean * other) / (precision + other)
+        return Guided(self.spring.force(action, mean))
+
+
+@dataclass(frozen=True)
+class Blended:
+    """Not the paper's: the two forces in the proportion of their models' confidence.
+
+    CombHG with UT halves the force of the one that knows when the other does not; here the weights W_unc (Eq. 5) say
+    how much of the force is whose, and the larger of the two how strong it is:
+    F = max(W_o, W_u) (W_o F_o + W_u F_u) / (W_o + W_u).
+    """
+
+    optimal: Toward
+    user: Toward
+
+    def __post_init__(self) -> None:
+        for name in ("optimal", "user"):
+            if getattr(self, name).uncertainty is None:
+                raise ValueError(f"guidance.{name}.uncertainty must be thresholds: it is blended by confidence")
+
+    def models(self) -> frozenset[str]:
+        return self.optimal.models() | self.user.models()
+
+    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
+        (optimal, w_optimal), (user, w_user) = (
+            part.pull(action, targets[part.model]) for part in (self.optimal, self.user)
+        )  # each force is weighed already
+        strength = torch.maximum(w_optimal, w_user) / (w_optimal + w_user).clamp(min=1e-12)
+        return Guided(strength.unsqueeze(-1) * (optimal + user), w_optimal, w_user)
+
+
+@dataclass(frozen=True)
 class Condition:
-    """One of the nine: the paper's letter and name, and its guidance."""
+    """One of the nine: the paper's letter and name, and its guidance. Others have the letters from j on."""
 
     name: str
     letter: str
     label: str
     guidance: Guidance
+
+    def __post_init__(self) -> None:
+        if self.letter not in tuple(ascii_lowercase):
+            raise ValueError(f"condition.letter = {self.letter} must be one of a to z")

@@ -3,6 +3,7 @@
     python -m guidance.evaluate                                all nine conditions, 20 people
     python -m guidance.evaluate condition=oahg_ut              one of them
     python -m guidance.evaluate -m 'condition=glob(*)'         the nine as nine jobs
+    python -m guidance.evaluate beyond=true                    the nine, and two that are not the paper's
     python -m guidance.report runs=outputs/evaluate/...        merge the jobs into one report
     python -m guidance.evaluate +preset=smoke                  seconds, to see that it runs
 
@@ -14,6 +15,7 @@ import hashlib
 import json
 import time
 from importlib.metadata import version
+from itertools import pairwise
 from pathlib import Path
 
 import hydra
@@ -23,29 +25,38 @@ from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.cli import CONF, ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import replacing, sha256, write_json
+from airhockey_marl.inference import steady
 from airhockey_marl.league import League
-from airhockey_marl.match import confident
 from airhockey_marl.table import Table
 from guidance.conditions import Condition
+from guidance.games import Protocol
 from guidance.models import Models
 from guidance.report import screen_table, write_report
-from guidance.study import Protocol, run_study
+from guidance.study import run_study
 from guidance.users import Population, load_mentors, sample_people
 from guidance.users.rating import RATINGS
 from guidance.users.reaction import check_variant
 
 FROZEN = Path(__file__).parent / "frozen.json"  # study_hash and seed of the study
+NOT_THE_STUDY = ("condition", "beyond", "models", "seed", "threads")  # models are hashed themselves
 VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas", "pingouin")
 
 
 def chosen_conditions(cfg: DictConfig) -> list[Condition]:
-    """The condition of the configuration; without one, all of `conf/condition`, in the order of their letters."""
+    """The condition of the configuration; without one, all of `conf/condition`, in the order of their letters.
+
+    With `beyond` those of `conf/condition/beyond` as well, which are not the paper's.
+    """
     if cfg.get("condition") is not None:
         return [hydra.utils.instantiate(cfg.condition)]
-    nodes = [OmegaConf.load(path) for path in (CONF / "condition").glob("*.yaml")]
+    nodes = [OmegaConf.load(path) for path in (CONF / "condition").glob("**/*.yaml" if cfg.get("beyond") else "*.yaml")]
     for node in nodes:
         node._set_parent(cfg)  # what a condition refers to, as ${guidance.spring}, is in the configuration
-    return sorted((hydra.utils.instantiate(node) for node in nodes), key=lambda condition: condition.letter)
+    conditions = sorted((hydra.utils.instantiate(node) for node in nodes), key=lambda condition: condition.letter)
+    for one, other in pairwise(conditions):
+        if one.letter == other.letter:
+            raise ValueError(f"condition.letter = {one.letter} is that of {one.name} and of {other.name}")
+    return conditions
 
 
 @command("evaluate")
@@ -59,7 +70,7 @@ def main(cfg: DictConfig) -> None:
         protocol: Protocol = hydra.utils.instantiate(cfg.study)
         population: Population = hydra.utils.instantiate(cfg.users.population)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        opponent = confident(League.load(cfg.models.opponents).player(cfg.opponent))
+        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
         people = sample_people(cfg.participants, cfg.seed, population)
         mentors = load_mentors(cfg.users.mentors)
         for name in cfg.users.withdrawn:
@@ -79,8 +90,8 @@ def main(cfg: DictConfig) -> None:
         cfg.users.variant,
         mentors,
         OmegaConf.to_container(cfg.users.scales),
-        cfg.seed,
-        progress,
+        seed=cfg.seed,
+        progress=progress,
     )
     progress.close()
     folder = Path(HydraConfig.get().runtime.output_dir)
@@ -108,7 +119,9 @@ def manifest(cfg: DictConfig, hashes: dict[str, str], command_line: str, seconds
     the seed, that of the study which was fixed before any condition was compared.
     """
     config = OmegaConf.to_container(cfg, resolve=True)
-    shared = {key: value for key, value in config.items() if key not in ("condition", "models", "seed", "threads")}
+    shared = {
+        key: value for key, value in config.items() if key not in ("condition", "beyond", "models", "seed", "threads")
+    }
     shared["users"] = {key: value for key, value in shared["users"].items() if key != "mentors"}  # hashed, like models
     digest = hashlib.sha256(json.dumps([shared, hashes], sort_keys=True).encode()).hexdigest()
     fixed = json.loads(FROZEN.read_text(encoding="utf-8"))

@@ -9,10 +9,10 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from scipy import stats
 
-from guidance.stats import CONDITIONS, METRICS, Metric
+from guidance.stats import BEYOND, METRICS, Condition, Metric, conditions_of
 
 # Okabe and Ito's colours, which people with any kind of colour vision can tell apart
-COLOURS = {"NHG": "#8C8C8C", "OAHG": "#E69F00", "UPHG": "#0072B2", "CombHG": "#009E73"}
+COLOURS = {"NHG": "#8C8C8C", "OAHG": "#E69F00", "UPHG": "#0072B2", "CombHG": "#009E73", BEYOND: "#CC79A7"}
 SCALE = (1, 7)  # of the ratings
 
 
@@ -26,7 +26,7 @@ def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = ()) -> Figure:
     """Draw the paper's Figure 6 (section 5).
 
     Args:
-        trials: one row per participant and condition; any subset of the nine conditions.
+        trials: one row per participant and condition; any subset of the nine conditions, and others.
         withdrawn: metrics that count for nothing; their panels say so.
 
     Returns:
@@ -34,25 +34,28 @@ def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = ()) -> Figure:
         the colour of its guidance type, with the mean's 95 % confidence interval. A metric that is undefined in a
         condition, as disagreement is without guidance, has a dash in place of its bar.
     """
-    present = [name for name in CONDITIONS if name in set(trials["condition"])]
+    present = conditions_of(trials)
     figure = Figure(figsize=(13.5, 6.6), layout="constrained")
     panels = figure.subplots(2, 4).flat
     for axes, (name, metric) in zip(panels, METRICS.items(), strict=True):
         _draw_bars(
-            axes, trials.pivot(index="user", columns="condition", values=name)[present], metric, name in withdrawn
+            axes,
+            trials.pivot(index="user", columns="condition", values=name)[list(present)],
+            list(present.values()),
+            metric,
+            name in withdrawn,
         )
     legend = [
-        Patch(color=COLOURS[CONDITIONS[name].guidance], label=f"({CONDITIONS[name].letter}) {CONDITIONS[name].label}")
-        for name in present
+        Patch(color=COLOURS[condition.guidance], label=f"({condition.letter}) {condition.label}")
+        for condition in present.values()
     ]
     style = {"frameon": False, "fontsize": 8.5, "handlelength": 1.1, "columnspacing": 1.4, "handletextpad": 0.5}
     figure.legend(handles=legend, loc="outside lower center", ncols=len(present), **style)
     return figure
 
 
-def _draw_bars(axes: Axes, scores: pd.DataFrame, metric: Metric, withdrawn: bool) -> None:
-    """Draw one panel; scores (participants, conditions present)."""
-    conditions = [CONDITIONS[name] for name in scores]
+def _draw_bars(axes: Axes, scores: pd.DataFrame, conditions: list[Condition], metric: Metric, withdrawn: bool) -> None:
+    """Draw one panel; scores (participants, conditions)."""
     places = np.arange(len(conditions))
     mean, half = scores.mean().to_numpy(), confidence_half_width(scores).to_numpy()
     axes.bar(places, mean, width=0.72, color=[COLOURS[condition.guidance] for condition in conditions])

@@ -23,12 +23,15 @@ from airhockey_marl.page import template
 from guidance.answers import QUESTIONS, answers
 from guidance.figures import figure6
 from guidance.stats import (
+    ALPHA,
+    BEYOND,
     CONDITIONS,
     EVIDENCE,
     FAMILIES,
     METRICS,
     check_trials,
     compare_with_paper,
+    conditions_of,
     published,
     reference_points,
     run_tests,
@@ -36,6 +39,7 @@ from guidance.stats import (
 )
 
 TRIALS = "trials.csv"
+PAPERS_LETTERS = [condition.letter for condition in CONDITIONS.values()]
 SHORT = ("win rate", "smash", "defense", "disagree", "helpful", "natural", "control", "comfort")
 
 
@@ -80,8 +84,7 @@ def screen_table(trials: pd.DataFrame) -> str:
     width, gap = 22, 9
     lines = [f"{'':{width + 4 * gap}} | {'PROXY of the 7-point ratings':^{4 * gap}}"]
     cells = [("condition", [f"{name:>{gap}}" for name in SHORT])]
-    for name in _present(trials):
-        condition = CONDITIONS[name]
+    for name, condition in conditions_of(trials).items():
         values = ["–" if np.isnan(value) else f"{value:.2f}" for value in means.loc[name]]
         cells.append((f"({condition.letter}) {condition.label}", [f"{value:>{gap}}" for value in values]))
     lines += [f"{label:{width}}{''.join(row[:4])} | {''.join(row[4:])}" for label, row in cells]
@@ -133,10 +136,6 @@ def _manifest(trials_file: Path) -> dict[str, Any]:
         raise ValueError(f"{file} is not JSON: {error}") from error
 
 
-def _present(trials: pd.DataFrame) -> list[str]:
-    return [name for name in CONDITIONS if name in set(trials["condition"])]
-
-
 def _page(trials: pd.DataFrame, tests: pd.DataFrame, svg: bytes, manifest: Mapping[str, Any]) -> str:
     """Fill the template: here what is shown is chosen, there how it looks."""
     withdrawn = _withdrawn(manifest)
@@ -155,12 +154,12 @@ def _page(trials: pd.DataFrame, tests: pd.DataFrame, svg: bytes, manifest: Mappi
         participants=trials["user"].nunique(),
         games=len(trials),
         conditions=CONDITIONS,
-        labels={condition.letter: condition.label for condition in CONDITIONS.values()},
+        labels={c.letter: c.label for c in (CONDITIONS | conditions_of(trials)).values()},
         types={"a": "NHG", "c": "OAHG", "f": "UPHG", "i": "CombHG"},
         metrics=METRICS,
         evidence=EVIDENCE,
         withdrawn=withdrawn,
-        absent=[name for name in CONDITIONS if name not in _present(trials)],
+        absent=[name for name in CONDITIONS if name not in conditions_of(trials)],
         untested_families=[family for family in FAMILIES if family not in set(tests["family"])],
         counts=summary(comparison).to_dict("index"),
         by_chance=by_chance,
@@ -172,7 +171,10 @@ def _page(trials: pd.DataFrame, tests: pd.DataFrame, svg: bytes, manifest: Mappi
         reversals=findings[findings["outcome"] == "reversed"].to_dict("records"),
         wrong=comparison[comparison["outcome"] == "wrongly_significant"].to_dict("records"),
         paired=_paired_rows(tests, comparison),
-        anovas=_anova_rows(tests),
+        anovas=_anova_rows(tests[tests["family"] != BEYOND]),
+        own=[condition for condition in conditions_of(trials).values() if condition.guidance == BEYOND],
+        beyond=_beyond_rows(tests),
+        by_ranks=int((findings["rank_p"].lt(ALPHA) & _same_sign(findings) & ~findings["metric"].isin(withdrawn)).sum()),
         weights=_weights(trials),
         questions=QUESTIONS,
         answers=answers(ours),
@@ -193,7 +195,7 @@ def _other(x: str, y: str, letter: str) -> str:
 
 def _means(trials: pd.DataFrame) -> list[dict[Any, Any]]:
     by_condition = trials.groupby("condition")[list(METRICS)].agg(["mean", "std"])
-    return [{"condition": CONDITIONS[name], **by_condition.loc[name]} for name in _present(trials)]
+    return [{"condition": condition, **by_condition.loc[name]} for name, condition in conditions_of(trials).items()]
 
 
 def _paired_rows(tests: pd.DataFrame, comparison: pd.DataFrame) -> list[dict[str, Any]]:
@@ -207,6 +209,17 @@ def _anova_rows(tests: pd.DataFrame) -> list[dict[str, Any]]:
     paper = published("anova").set_index(["family", "metric"]).drop(columns=["df1", "df2"]).add_suffix("_paper")
     anovas = tests[tests["test"] == "rm_anova"].join(paper, on=["family", "metric"])
     return anovas.fillna({"p_reported_paper": ""}).to_dict("records")
+
+
+def _beyond_rows(tests: pd.DataFrame) -> list[dict[str, Any]]:
+    """The significant pairs with a condition that is not the paper's."""
+    own = ~tests["x"].isin(PAPERS_LETTERS) | ~tests["y"].isin(PAPERS_LETTERS)
+    rows = tests[(tests["family"] == BEYOND) & (tests["test"] == "posthoc") & own & tests["significant"]]
+    return [row | {"less": _other(row["x"], row["y"], row["greater"])} for row in rows.to_dict("records")]
+
+
+def _same_sign(findings: pd.DataFrame) -> pd.Series:
+    return findings["greater"].eq(findings["paper_greater"])
 
 
 def _weights(trials: pd.DataFrame) -> list[dict[str, Any]]:

@@ -10,8 +10,9 @@ because pingouin rounds the confidence interval to two decimals.
 """
 
 from collections.abc import Collection
-from itertools import combinations
+from itertools import combinations, product
 from pathlib import Path
+from string import ascii_lowercase
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -26,7 +27,7 @@ PAPER = Path(__file__).parent / "paper"
 
 
 class Condition(NamedTuple):
-    """A condition of the user study (section 4.2): its letter and name in the paper, and its type of guidance."""
+    """A condition: its letter and name, in the paper (section 4.2) for the nine of it, and its type of guidance."""
 
     letter: str
     label: str
@@ -63,12 +64,27 @@ METRICS = {
     "comfort": Metric("Comfort", "subjective", "1-7"),
 }
 FAMILIES = {"OAHG": "bc", "UPHG": "def", "CombHG": "ghi", "types": "acfi"}
+BEYOND = "beyond"  # the type of every condition that is not the paper's, and the family in which it meets the types
 EVIDENCE = {"M": "mechanical", "P": "performance", "S": "proxy", "S0": "proxy, nearly automatic"}
+
+
+def conditions_of(trials: pd.DataFrame) -> dict[str, Condition]:
+    """The conditions in the trials by name: the paper's in its order, then any others, lettered from j on."""
+    present = list(dict.fromkeys(trials["condition"]))
+    own = [name for name in present if name not in CONDITIONS]
+    letters = ascii_lowercase[len(CONDITIONS) :]
+    if len(own) > len(letters):
+        raise ValueError(f"{len(own)} conditions that are not the paper's, must be at most {len(letters)}")
+    return {name: condition for name, condition in CONDITIONS.items() if name in present} | {
+        name: Condition(letter, name, BEYOND) for name, letter in zip(own, letters, strict=False)
+    }
+
 
 TESTS_DTYPES = (
     dict.fromkeys(["family", "metric", "kind", "test", "x", "y"], "str")
     | {"n": "int64"}
     | dict.fromkeys(["statistic", "df1", "df2", "epsilon", "p", "p_corrected", "eta_squared", "dz"], "float64")
+    | dict.fromkeys(["rank_statistic", "rank_p", "rank_p_corrected"], "float64")
     | dict.fromkeys(["mean_difference", "ci_low", "ci_high"], "float64")
     | {"greater": "str", "gated": "bool", "significant": "bool", "proxy": "bool"}
 )
@@ -78,14 +94,17 @@ def run_tests(trials: pd.DataFrame) -> pd.DataFrame:
     """Run every test of section 5 that the conditions present allow.
 
     Args:
-        trials: one row per participant and condition, with the columns `user`, `condition` (a key of `CONDITIONS`)
-            and the eight `METRICS`; an undefined value is NaN and excludes that participant from the family's test
-            of that metric. NHG has no disagreement, so the types are compared on it without NHG (section 5.2).
+        trials: one row per participant and condition, with the columns `user`, `condition` and the eight `METRICS`;
+            an undefined value is NaN and excludes that participant from the family's test of that metric. NHG has no
+            disagreement, so the types are compared on it without NHG (section 5.2). Conditions that are not the
+            paper's meet the types of guidance in a family of their own, `beyond`.
 
     Returns:
         One row per test, empty with fewer than three participants; families with an absent condition are skipped.
         `test` is paired_t, rm_anova or posthoc; `x`, `y` the letters of a pair and `greater` the one with the larger
         mean; `n` the participants; `statistic` t or F with `df1`, `df2` (uncorrected, as the paper reports them);
+        `rank_statistic`, `rank_p`, `rank_p_corrected` the same by ranks, which ratings on a scale of seven would ask
+        for and the paper does not report: Friedman's chi squared, or Wilcoxon's W with the same Bonferroni correction;
         `epsilon` Greenhouse-Geisser; `p` uncorrected; `p_corrected` by Greenhouse-Geisser (ANOVA) or Bonferroni (post
         hoc), else `p`; `eta_squared` partial; `dz` = mean / SD of the differences x - y; `mean_difference` x - y in
         the metric's unit with its 95 % interval `ci_low`, `ci_high`; `gated` a post hoc test whose ANOVA was not
@@ -97,11 +116,13 @@ def run_tests(trials: pd.DataFrame) -> pd.DataFrame:
     """
     check_trials(trials)
     rows: list[dict[str, Any]] = []
-    letters = {name: CONDITIONS[name].letter for name in CONDITIONS}
+    conditions = conditions_of(trials)
+    own = "".join(condition.letter for condition in conditions.values() if condition.guidance == BEYOND)
+    families = FAMILIES | ({BEYOND: FAMILIES["types"] + own} if own else {})
     if trials["user"].nunique() >= FEWEST_PARTICIPANTS:
-        tidy = trials.assign(condition=trials["condition"].map(letters))
-        for family, metric in ((family, metric) for family in FAMILIES for metric in METRICS):
-            levels = _levels(family, metric)
+        tidy = trials.assign(condition=[conditions[name].letter for name in trials["condition"]])
+        for (family, letters), metric in product(families.items(), METRICS):
+            levels = [letter for letter in letters if (letter, metric) != ("a", "mean_disagreement")]
             if set(levels) <= set(tidy["condition"]):
                 scores = tidy.pivot(index="user", columns="condition", values=metric)[levels].astype(float).dropna()
                 kind = METRICS[metric].kind
@@ -111,22 +132,16 @@ def run_tests(trials: pd.DataFrame) -> pd.DataFrame:
     return tests.fillna({"x": "", "y": "", "greater": ""}).astype(TESTS_DTYPES)
 
 
-def _levels(family: str, metric: str) -> list[str]:
-    without_force = metric == "mean_disagreement"
-    return [letter for letter in FAMILIES[family] if not (without_force and letter == "a")]
-
-
 def check_trials(trials: pd.DataFrame) -> None:
     """Refuse trials that cannot be compared within participants.
 
     Raises:
-        ValueError: an absent column, an unknown condition, an infinite value, two rows for one participant and
+        ValueError: an absent column, too many conditions, an infinite value, two rows for one participant and
             condition, or a participant without a row for a condition that others have; the message names them.
     """
     if absent := [column for column in ("user", "condition", *METRICS) if column not in trials]:
         raise ValueError(f"trials lack the columns {', '.join(absent)}")
-    if unknown := sorted(set(trials["condition"].astype(str)) - set(CONDITIONS)):
-        raise ValueError(f"unknown conditions: {', '.join(unknown)}; known: {', '.join(CONDITIONS)}")
+    conditions_of(trials)
     if np.isinf(trials[list(METRICS)].to_numpy(float)).any():
         raise ValueError("trials hold infinite values")
     games = trials.groupby(["user", "condition"]).size()
@@ -148,9 +163,15 @@ def _compare(scores: pd.DataFrame) -> list[dict[str, Any]]:
     gated = not anova["p_corrected"] < ALPHA  # a NaN gates too
     posthoc = [_paired_t(scores, *pair) for pair in pairs]
     return [anova | _verdict("rm_anova", anova["p_corrected"], gated=False)] + [
-        row | _verdict("posthoc", min(1.0, len(pairs) * row["p"]) if row["p"] >= 0 else np.nan, gated)
+        row
+        | _verdict("posthoc", _bonferroni(row["p"], len(pairs)), gated)
+        | {"rank_p_corrected": _bonferroni(row.get("rank_p", np.nan), len(pairs))}
         for row in posthoc
     ]
+
+
+def _bonferroni(p: float, tests: int) -> float:
+    return min(1.0, tests * p) if p >= 0 else np.nan
 
 
 def _verdict(test: str, p_corrected: float, gated: bool) -> dict[str, Any]:
@@ -174,7 +195,11 @@ def _rm_anova(scores: pd.DataFrame) -> dict[str, Any]:
         return row
     tidy = scores.reset_index().melt("user", var_name="condition", value_name="score")
     anova = pingouin.rm_anova(tidy, "score", "condition", "user", correction=True, effsize="np2").iloc[0]
+    friedman = stats.friedmanchisquare(*values.T)
     return row | {
+        "rank_statistic": friedman.statistic,
+        "rank_p": friedman.pvalue,
+        "rank_p_corrected": friedman.pvalue,
         "statistic": anova["F"],
         "epsilon": anova["eps"],
         "p": anova["p_unc"],
@@ -196,7 +221,17 @@ def _paired_t(scores: pd.DataFrame, x: str, y: str) -> dict[str, Any]:
     t = stats.ttest_rel(scores[x], scores[y])
     low, high = t.confidence_interval(0.95)
     dz = mean / difference.std(ddof=1)
-    return row | {"statistic": t.statistic, "p": t.pvalue, "dz": dz, "ci_low": low, "ci_high": high}
+    wilcoxon = stats.wilcoxon(difference)
+    return row | {
+        "statistic": t.statistic,
+        "p": t.pvalue,
+        "dz": dz,
+        "ci_low": low,
+        "ci_high": high,
+        "rank_statistic": wilcoxon.statistic,
+        "rank_p": wilcoxon.pvalue,
+        "rank_p_corrected": wilcoxon.pvalue,
+    }
 
 
 def published(table: str) -> pd.DataFrame:
@@ -215,10 +250,11 @@ def compare_with_paper(tests: pd.DataFrame, withdrawn: Collection[str] = ()) -> 
         One row per pair of the paper, the findings first. The paper's side: `family`, `metric`, `kind`, `x`, `y`, `id`
         and `table` (of a finding), `evidence` (M, P, S, S0; "" for a non-finding), `paper` (significant |
         not_significant | gated), `paper_greater` (letter), `p_paper` (as printed), `dz_paper` (the smallest |dz| that
-        gives the printed p). Ours: `n`, `mean_difference` (x - y), `ci_low`, `ci_high`, `dz`, `p` (corrected), `gated`,
-        `significant`, `greater` (letter with the larger mean), `outcome`. For a finding, `outcome` is replicated
-        (significant with the same sign), reversed (significant with the opposite sign) or not_significant; for a
-        non-finding wrongly_significant or agrees; not_tested where no test could be computed; withdrawn by the metric.
+        gives the printed p). Ours: `n`, `mean_difference` (x - y), `ci_low`, `ci_high`, `dz`, `p` (corrected), `rank_p`
+        (Wilcoxon's, corrected), `gated`, `significant`, `greater` (letter with the larger mean), `outcome`. For a
+        finding, `outcome` is replicated (significant with the same sign), reversed (significant with the opposite sign)
+        or not_significant; for a non-finding wrongly_significant or agrees; not_tested where no test could be computed;
+        withdrawn by the metric.
     """
     findings = published("findings")[["id", "table", "evidence", "dz_min"]].rename(columns={"dz_min": "dz_paper"})
     paper = published("grid").merge(findings, on="id", how="left")
@@ -228,8 +264,12 @@ def compare_with_paper(tests: pd.DataFrame, withdrawn: Collection[str] = ()) -> 
     paper = paper.fillna({"id": "", "evidence": "", "paper_greater": "", "p_paper": ""})
 
     ours = tests.loc[tests["test"] != "rm_anova", ["family", "metric", "x", "y", "n", "mean_difference", "ci_low"]]
-    ours = ours.join(tests[["ci_high", "dz", "p_corrected", "gated", "significant", "greater"]])
-    both = paper.merge(ours.rename(columns={"p_corrected": "p"}), on=["family", "metric", "x", "y"], how="left")
+    ours = ours.join(tests[["ci_high", "dz", "p_corrected", "rank_p_corrected", "gated", "significant", "greater"]])
+    both = paper.merge(
+        ours.rename(columns={"p_corrected": "p", "rank_p_corrected": "rank_p"}),
+        on=["family", "metric", "x", "y"],
+        how="left",
+    )
     flags = {"gated": both["gated"].eq(True), "significant": both["significant"].eq(True)}
     both = both.assign(**flags, greater=both["greater"].fillna(""))
 

@@ -7,7 +7,7 @@ from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
 from airhockey_marl.cli import CONF
-from guidance.conditions import Combined, NoGuidance, Spring, Target, Thresholds, Toward
+from guidance.conditions import Blended, Combined, NoGuidance, Product, Spring, Target, Thresholds, Toward
 from guidance.evaluate import chosen_conditions
 from guidance.forces import similarity_weight, uncertainty_weight
 from guidance.stats import CONDITIONS
@@ -111,3 +111,43 @@ def test_a_yaml_is_all_it_takes_to_add_a_condition():
     root = OmegaConf.create({"guidance": OmegaConf.load(CONF / "guidance" / "default.yaml"), "condition": node})
     condition = hydra.utils.instantiate(root.condition)
     assert condition.guidance.models() == {"optimal", "user"}
+
+
+def test_the_product_of_gaussians_is_that_of_scipy_and_leans_to_the_precise():
+    """The mean of the product of two densities, by numerical integration."""
+    grid = torch.linspace(-4, 4, 8001, dtype=torch.float64)
+    optimal = Target(torch.tensor([[0.5, -0.2]]).double(), torch.tensor([[0.1, 0.5]]).double())
+    user = Target(torch.tensor([[-0.5, 0.4]]).double(), torch.tensor([[0.3, 0.2]]).double())
+    expected = []
+    for axis in range(2):
+        density = torch.ones_like(grid)
+        for mean, std in (optimal, user):
+            density = density * torch.exp(-0.5 * ((grid - mean[0, axis]) / std[0, axis]) ** 2)
+        expected.append((grid * density).sum() / density.sum())
+    weak = Spring(1.0, 100.0, 1.0)
+    force = Product("optimal", "user", weak)(torch.zeros(1, 2).double(), {"optimal": optimal, "user": user}).force
+    assert torch.allclose(force[0], torch.stack(expected), atol=1e-9)
+
+
+def test_blending_gives_the_force_of_the_one_that_knows():
+    spring, thresholds = Spring(1.0, 100.0, 1.0), Thresholds(0.1, 0.3)
+    blended = Blended(Toward("optimal", spring, thresholds), Toward("user", spring, thresholds))
+
+    def force(optimal_std, user_std):
+        std = [torch.full((1, 2), s / 2**0.5).double() for s in (optimal_std, user_std)]
+        targets = {
+            "optimal": Target(torch.tensor([[1.0, 0.0]]).double(), std[0]),
+            "user": Target(torch.tensor([[0.0, 1.0]]).double(), std[1]),
+        }
+        return blended(torch.zeros(1, 2).double(), targets).force[0].tolist()
+
+    sure, lost = 0.1, 0.9  # norms of the STD: squared, below and above the thresholds
+    assert force(sure, lost) == [1.0, 0.0] and force(lost, sure) == [0.0, 1.0]
+    assert force(sure, sure) == [0.5, 0.5] and force(lost, lost) == [0.0, 0.0]
+    half = 0.2**0.5  # W_unc = 1/2: as much of a say as it has confidence, and together as strong as the surer one
+    assert force(sure, half) == pytest.approx([2 / 3, 1 / 3])
+
+
+def test_blending_needs_confidence():
+    with pytest.raises(ValueError, match=r"guidance\.optimal\.uncertainty"):
+        Blended(Toward("optimal", Spring(1.0, 1.0, 1.0)), Toward("user", Spring(1.0, 1.0, 1.0), Thresholds(0.1, 0.2)))

@@ -128,7 +128,8 @@ def test_page_shows_the_numbers(written, trials):
     assert f"(a) NHG {nhg.mean():.2f} ± {nhg.std():.2f} " in text
     anova = tests.query("family == 'CombHG' and metric == 'mean_disagreement' and test == 'rm_anova'").iloc[0]
     assert f"CombHG Mean disagreement 20 {anova['statistic']:.3f} 2, 38 {anova['epsilon']:.3f}" in text
-    assert f"{anova['eta_squared']:.3f} 79.038 <.001 0.806" in text
+    ranks = "<.001" if anova["rank_p"] < 0.001 else f"{anova['rank_p']:.3f}"[1:]
+    assert f"{anova['eta_squared']:.3f} {ranks} 79.038 <.001 0.806" in text
     assert "UPHG Mean smash speed" in text and "– n.s. –" in text
     assert f"W unc of OAHG 40 {trials['w_unc_optimal_mean'].mean():.3f} ± 0.300 0.600 ± 0.390" in text
     assert f"W sim 40 {trials['w_sim_mean'].mean():.3f} ± 0.300 0.515 ± 0.343" in text
@@ -351,3 +352,15 @@ def test_withdrawn_proxies_count_for_nothing(trials, tmp_path):
     assert counted.loc["M"].equals(all_counted.loc["M"])
     answered = page[page.index("<h4>Here</h4>") : page.index("<h4>Paper</h4>")]
     assert "comfort" not in answered and "helpfulness" not in answered
+
+
+def test_conditions_beyond_the_paper_have_a_section_and_a_bar(trials, tmp_path):
+    mine = trials[trials["condition"] == "oahg_ut"].assign(condition="<mine>", win_rate=lambda t: t["win_rate"] + 0.5)
+    everything = pd.concat([trials, mine], ignore_index=True)
+    write_report(everything, tmp_path, {})
+    page = (tmp_path / "report.html").read_text(encoding="utf-8")
+    text = text_of(page)
+    assert "Beyond the paper (j) <mine> is not a condition of the paper." in text and "<mine>" not in page
+    assert "Win rate (j) <mine> > (a) NHG" in text
+    assert len(figure6(everything).axes[0].patches) == 10
+    assert "(j) <mine>" in screen_table(everything)

@@ -122,6 +122,38 @@ def test_which_pairs_are_tested():
     assert (tests["proxy"] == (tests["kind"] == "subjective")).all()
 
 
+def test_ranks_agree_with_conover():
+    """Friedman's chi squared: Conover 1999, example 5.8.1, twelve homeowners who rank four grasses: T1 = 8.097."""
+    ranks = [
+        *([4, 3, 2, 1], [4, 2, 3, 1], [3, 1.5, 1.5, 4], [3, 1, 2, 4], [4, 2, 1, 3], [2, 2, 2, 4]),
+        *([1, 3, 2, 4], [2, 4, 1, 3], [3.5, 1, 2, 3.5], [4, 1, 3, 2], [4, 2, 3, 1], [3.5, 1, 2, 3.5]),
+    ]
+    trials = synthetic_trials(users=12).set_index(["user", "condition"]).sort_index()
+    users = trials.index.get_level_values("user").unique()
+    for user, row in zip(users, ranks, strict=True):
+        for condition, rank in zip(("nhg", "oahg_ut", "uphg_ut_ua", "combhg_ut_ua_sc"), row, strict=True):
+            trials.loc[(user, condition), "comfort"] = rank
+    tests = stats.run_tests(trials.reset_index())
+    anova = tests.query("family == 'types' and metric == 'comfort' and test == 'rm_anova'").iloc[0]
+    assert anova["rank_statistic"] == pytest.approx(8.097, abs=5e-4)
+    assert anova["rank_p"] == pytest.approx(0.044, abs=5e-4)
+    pair = tests.query("family == 'types' and metric == 'comfort' and x == 'a' and y == 'c'").iloc[0]
+    difference = np.array(ranks)[:, 0] - np.array(ranks)[:, 1]
+    assert pair["rank_p"] == pytest.approx(scipy_stats.wilcoxon(difference).pvalue)
+    assert pair["rank_p_corrected"] == pytest.approx(min(1, 6 * pair["rank_p"]))
+
+
+def test_other_conditions_meet_the_types_and_leave_the_paper_alone():
+    nine = synthetic_trials(effect=0.2)
+    mine = nine[nine["condition"] == "oahg_ut"].assign(condition="mine", win_rate=lambda t: 2 * t["win_rate"] + 5)
+    tests, before = stats.run_tests(pd.concat([nine, mine])), stats.run_tests(nine)
+    assert tests[tests["family"] != "beyond"].reset_index(drop=True).equals(before)
+    beyond = tests[(tests["family"] == "beyond") & (tests["metric"] == "win_rate")]
+    assert len(beyond) == 1 + 10 and set(beyond["y"]) == {"", "c", "f", "i", "j"}
+    assert beyond.loc[beyond["y"] == "j", "significant"].all()
+    assert stats.compare_with_paper(tests).equals(stats.compare_with_paper(before))
+
+
 def test_dz_t_and_interval_identities():
     pairs = stats.run_tests(synthetic_trials(effect=0.1)).query("test != 'rm_anova'")
     n = pairs["n"]
