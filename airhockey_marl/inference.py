@@ -66,15 +66,15 @@ def _answer(row, weights, sizes, from_paddle, scale, observation, which, mean, s
 
 
 @njit(cache=True, nogil=True)
-def _answers(weights, sizes, from_paddle, scale, observation, which, mean, std):
-    for row in range(len(observation)):
+def _answers(rows, weights, sizes, from_paddle, scale, observation, which, mean, std):
+    for row in rows:
         _answer(row, weights, sizes, from_paddle, scale, observation, which, mean, std)
 
 
 @njit(cache=True, parallel=True)
-def _answers_in_parallel(weights, sizes, from_paddle, scale, observation, which, mean, std):
-    for row in prange(len(observation)):
-        _answer(row, weights, sizes, from_paddle, scale, observation, which, mean, std)
+def _answers_in_parallel(rows, weights, sizes, from_paddle, scale, observation, which, mean, std):
+    for i in prange(len(rows)):
+        _answer(rows[i], weights, sizes, from_paddle, scale, observation, which, mean, std)
 
 
 class RowByRow:
@@ -103,10 +103,12 @@ class RowByRow:
     def __call__(self, observation: np.ndarray, which: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Mean and STD (n, 2), float32, at observations (n, 12), of models `which` (n,) int64, of the first if None."""
         n = len(observation)
+        # Model by model: the models of many users do not fit into a cache, and each is fetched once.
+        rows = np.arange(n) if which is None else np.argsort(which, kind="stable")
         which = np.zeros(n, dtype=np.int64) if which is None else which
         mean, std = np.empty((n, 2), dtype=np.float32), np.empty((n, 2), dtype=np.float32)
         ask = _answers_in_parallel if n >= self.PARALLEL_FROM else _answers
-        ask(self._weights, self._sizes, self._from_paddle, self._scale, observation, which, mean, std)
+        ask(rows, self._weights, self._sizes, self._from_paddle, self._scale, observation, which, mean, std)
         return mean, std
 
 

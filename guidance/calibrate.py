@@ -4,6 +4,9 @@
 
 The opponent: the newest generation against which the nine win 35 to 55 % of their rounds, which last 12 to 25 s.
 T_low and T_high of UT (Eq. 5): so that the mean W_unc in that play is the paper's (section 6.1).
+K of Eq. 4, for T_lookahead: the largest that leaves the hands of 95 % of the nine damped. The state holds one's own
+paddle, so UPHG's target moves ahead of the hand by a lead L that grows with T_lookahead, and its spring pushes along
+the motion by K L v: negative damping. Stable is K L <= 0.8 (B + b), B the damping of the relaxed arm, b the device's.
 
 Writes calibration.yaml, the values and what they rest on, into its run folder. A value takes effect when it is copied
 into conf/: calibration never changes a study by itself.
@@ -32,6 +35,7 @@ from guidance.models import Models
 from guidance.users import Users, load_mentors, training_people
 from guidance.users.reaction import check_variant
 
+NEW_ROUND = 0.1  # m, further than a paddle moves in a tick: it has been put back
 OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has the number of its condition
 
 
@@ -43,6 +47,10 @@ def main(cfg: DictConfig) -> None:
         require_counts(cfg, "games", least=2)  # UA from one, uncertainty in the others
         require_counts(cfg, "seed", least=0)
         require_numbers(cfg, "w_unc.optimal", "w_unc.user", "low_over_high", at_most=0.999)
+        require_numbers(cfg, "stability.rule.share", "stability.rule.of_people", at_most=1.0)
+        require_numbers(cfg, "stability.rule.step", "guidance.lookahead")
+        if not all(isinstance(seconds, float) and 0 < seconds <= 1 for seconds in cfg.stability.lookaheads):
+            raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers above 0 and at most 1")
         people = training_people(cfg.seed, hydra.utils.instantiate(cfg.users.population))
         mentors = load_mentors(cfg.users.mentors)
         protocol = hydra.utils.instantiate(cfg.study, familiarisation=0)
@@ -82,7 +90,21 @@ def main(cfg: DictConfig) -> None:
     }
     progress("thresholds", 1.0)
     progress.close()
-    found = {"opponent": opponent, "thresholds": thresholds, "evidence": {"opponents": trials, "models": models.hashes}}
+    leads = {
+        seconds: leads_of(models, states, cfg.games, seconds)
+        for seconds in sorted({*cfg.stability.lookaheads, cfg.guidance.lookahead})
+    }
+    damping = people["stiffness"] * people["damping_time"] + people["device_damping"]
+    stable = {
+        seconds: {"lead": round(float(lead.mean()), 4), "stiffness": stiffest(lead, damping, **cfg.stability.rule)}
+        for seconds, lead in leads.items()
+    }
+    found = {
+        "opponent": opponent,
+        "stiffness": stable[cfg.guidance.lookahead]["stiffness"],
+        "thresholds": thresholds,
+        "evidence": {"opponents": trials, "stable": stable, "models": models.hashes},
+    }
     text = OmegaConf.to_yaml(OmegaConf.create(found))
     write_text(Path(HydraConfig.get().runtime.output_dir) / "calibration.yaml", text)
     print(text)
@@ -103,6 +125,44 @@ def fitting_opponent(trials: dict[int, dict[str, float]], win_rate: list[float],
     if not fitting:
         raise InputError(f"no generation has win_rate in {win_rate} and round_seconds in {round_seconds}: {trials}")
     return max(fitting)
+
+
+@torch.no_grad()
+def leads_of(
+    models: Models, demonstrations: list[tuple[Tensor, Tensor]], games: int, lookahead_seconds: float
+) -> np.ndarray:
+    """By how much UPHG's target (UA) leads the hand, in s: the slope of their distance over the hand's velocity.
+
+    Args:
+        demonstrations: person by person, `games` games each; the first of each is for UA.
+
+    Returns:
+        (people,)
+    """
+    adapted, tick, leads = models.adapted_to(demonstrations[::games]), Table().tick, []
+    for person in range(len(adapted)):
+        distances, velocities = [], []
+        for observation, action in demonstrations[person * games + 1 : (person + 1) * games]:
+            anticipated = models.anticipated(ADAPTED, observation[1:], lookahead_seconds)
+            target = forward_each(models.meta, adapted[person : person + 1], anticipated[None])[0][0]
+            hand, velocity = action[:-1], action.diff(dim=0) / tick
+            in_one_round = (observation.diff(dim=0)[:, :2].norm(dim=1) < NEW_ROUND)[:, None]
+            distances.append((target - hand) * in_one_round)
+            velocities.append(velocity * in_one_round)
+        distance, velocity = torch.cat(distances), torch.cat(velocities)
+        leads.append(((distance * velocity).sum() / velocity.square().sum()).item())
+    return np.array(leads)
+
+
+def stiffest(lead: np.ndarray, damping: np.ndarray, share: float, of_people: float, step: float) -> float:
+    """The largest K, a multiple of `step` in N/m, for which K lead <= share * damping holds for so many of the people.
+
+    Args:
+        lead: (people,) s.
+        damping: (people,) N s/m, of arm and device.
+    """
+    each = np.where(lead > 0, share * damping / np.maximum(lead, 1e-12), np.inf)
+    return float(step * np.floor(np.quantile(each, 1 - of_people, method="lower") / step))
 
 
 @torch.no_grad()

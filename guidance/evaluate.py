@@ -11,11 +11,7 @@ Writes into its run folder: trials.csv (a row per person and condition), tests.c
 figure6.png and .svg, report.html, and manifest.json (configuration, seeds, models, versions).
 """
 
-import hashlib
-import json
 import time
-from importlib.metadata import version
-from itertools import pairwise
 from pathlib import Path
 
 import hydra
@@ -23,40 +19,19 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.cli import CONF, ProgressBar, command, input_errors, require_counts, require_numbers
-from airhockey_marl.files import replacing, sha256, write_json
+from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts, require_numbers
+from airhockey_marl.files import replacing, write_json
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
 from airhockey_marl.table import Table
-from guidance.conditions import Condition
 from guidance.games import Protocol
 from guidance.models import Models
+from guidance.provenance import chosen_conditions, hashes_of, manifest
 from guidance.report import screen_table, write_report
 from guidance.study import run_study
 from guidance.users import Population, load_mentors, sample_people
 from guidance.users.rating import RATINGS
 from guidance.users.reaction import check_variant
-
-FROZEN = Path(__file__).parent / "frozen.json"  # study_hash and seed of the study
-NOT_THE_STUDY = ("condition", "beyond", "models", "seed", "threads")  # models are hashed themselves
-VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas", "pingouin")
-
-
-def chosen_conditions(cfg: DictConfig) -> list[Condition]:
-    """The condition of the configuration; without one, all of `conf/condition`, in the order of their letters.
-
-    With `beyond` those of `conf/condition/beyond` as well, which are not the paper's.
-    """
-    if cfg.get("condition") is not None:
-        return [hydra.utils.instantiate(cfg.condition)]
-    nodes = [OmegaConf.load(path) for path in (CONF / "condition").glob("**/*.yaml" if cfg.get("beyond") else "*.yaml")]
-    for node in nodes:
-        node._set_parent(cfg)  # what a condition refers to, as ${guidance.spring}, is in the configuration
-    conditions = sorted((hydra.utils.instantiate(node) for node in nodes), key=lambda condition: condition.letter)
-    for one, other in pairwise(conditions):
-        if one.letter == other.letter:
-            raise ValueError(f"condition.letter = {one.letter} is that of {one.name} and of {other.name}")
-    return conditions
 
 
 @command("evaluate")
@@ -104,37 +79,6 @@ def main(cfg: DictConfig) -> None:
     print(screen_table(trials))
     print("" if facts["frozen"] else "\nNOT the frozen study: its configuration, models or seed differ; exploratory.")
     print(f"report: {folder / 'report.html'}")
-
-
-def hashes_of(cfg: DictConfig, models: Models) -> dict[str, str]:
-    """SHA-256 of every file that a study rests on, by what it is for."""
-    files = {"opponents": cfg.models.opponents, "mentors": cfg.users.mentors}
-    return models.hashes | {name: sha256(path) for name, path in files.items() if path is not None}
-
-
-def manifest(cfg: DictConfig, hashes: dict[str, str], command_line: str, seconds: float) -> dict:
-    """What a result came from.
-
-    `study_hash` is the same for runs that may be merged: all but seed and condition. `frozen` says whether it is, with
-    the seed, that of the study which was fixed before any condition was compared.
-    """
-    config = OmegaConf.to_container(cfg, resolve=True)
-    shared = {
-        key: value for key, value in config.items() if key not in ("condition", "beyond", "models", "seed", "threads")
-    }
-    shared["users"] = {key: value for key, value in shared["users"].items() if key != "mentors"}  # hashed, like models
-    digest = hashlib.sha256(json.dumps([shared, hashes], sort_keys=True).encode()).hexdigest()
-    fixed = json.loads(FROZEN.read_text(encoding="utf-8"))
-    return {
-        "command": command_line,
-        "seed": cfg.seed,
-        "study_hash": digest,
-        "frozen": (digest, cfg.seed) == (fixed["study_hash"], fixed["seed"]),
-        "models": hashes,
-        "versions": {name: version(name) for name in VERSIONS},
-        "seconds": round(seconds, 1),
-        "config": config,
-    }
 
 
 if __name__ == "__main__":

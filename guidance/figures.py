@@ -1,6 +1,6 @@
-"""Figure 6 of the paper: the eight metrics under the nine conditions, from a tidy table of games."""
+"""Figures of studies: the paper's Figure 6, and which of its findings hold over many of them."""
 
-from collections.abc import Collection
+from collections.abc import Collection, Mapping
 
 import numpy as np
 import pandas as pd
@@ -9,7 +9,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from scipy import stats
 
-from guidance.stats import BEYOND, METRICS, Condition, Metric, conditions_of
+from guidance.stats import BEYOND, EVIDENCE, METRICS, Condition, Metric, conditions_of
 
 # Okabe and Ito's colours, which people with any kind of colour vision can tell apart
 COLOURS = {"NHG": "#8C8C8C", "OAHG": "#E69F00", "UPHG": "#0072B2", "CombHG": "#009E73", BEYOND: "#CC79A7"}
@@ -79,3 +79,62 @@ def _draw_bars(axes: Axes, scores: pd.DataFrame, conditions: list[Condition], me
     axes.grid(axis="y", color="#E3E3E3", linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def robustness_map(findings: pd.DataFrame, metrics: Mapping[str, Metric]) -> Figure:
+    """Draw which findings hold over which studies.
+
+    Args:
+        findings: as `robustness.findings_over` returns them.
+
+    Returns:
+        A row per finding, grouped by evidence class. Left a cell per group of studies, the share of them that
+        replicates it in per cent, with the share that reverses it in red where it is 5 % or more; right, the effect
+        size in the paper's direction, 5 to 95 % of the studies of the first group, beside the paper's (a diamond).
+    """
+    groups = list(findings["group"].unique())
+    first = findings[findings["group"] == groups[0]]
+    order = {evidence: place for place, evidence in enumerate(EVIDENCE)}
+    first = first.sort_values(["evidence", "id"], key=lambda c: c.map(order) if c.name == "evidence" else c)
+    pairs = first["id"].tolist()
+    shares, reversed_, withdrawn = (
+        findings.pivot(index="id", columns="group", values=name).loc[pairs, groups].to_numpy()
+        for name in ("replicated", "reversed", "withdrawn")
+    )
+    figure = Figure(figsize=(11, 0.27 * len(pairs) + 1.6), layout="constrained")
+    cells, effects = figure.subplots(1, 2, sharey=True, width_ratios=(1 + 0.35 * len(groups), 2.4))
+    cells.imshow(np.ma.masked_where(withdrawn == 1, shares), cmap="Blues", vmin=0, vmax=1.25, aspect="auto")
+    for row, column in np.ndindex(shares.shape):
+        if withdrawn[row, column] == 1:
+            cells.text(column, row, "withdrawn", ha="center", va="center", fontsize=6.5, color="#888888")
+            continue
+        dark, centre = shares[row, column] > 0.7, {"va": "center", "ha": "center"}
+        text = f"{100 * shares[row, column]:.0f}"
+        cells.text(column, row, text, fontsize=7.5, color="white" if dark else "#222222", **centre)
+        if reversed_[row, column] >= 0.05:
+            text, colour = f"{100 * reversed_[row, column]:.0f}", "#ffb3a0" if dark else "#c0392b"
+            cells.text(column + 0.36, row, text, fontsize=6.5, color=colour, fontweight="bold", **centre)
+    cells.set_xticks(range(len(groups)), groups, fontsize=8)
+    cells.xaxis.tick_top()
+    labels = []
+    for row in first.itertuples():
+        less = row.y if row.paper_greater == row.x else row.x
+        labels.append(f"{row.evidence}  {metrics[row.metric].label.lower()}: ({row.paper_greater}) > ({less})")
+    cells.set_yticks(range(len(pairs)), labels, fontsize=8)
+    cells.tick_params(length=0)
+    cells.set_title("% of studies that replicate it (reverse it)", fontsize=9, pad=18)
+    places = np.arange(len(pairs))
+    effects.axvline(0, color="#888888", linewidth=0.8)
+    effects.hlines(places, first["low"], first["high"], color="#0072B2", linewidth=2.2, alpha=0.55)
+    effects.plot(first["median"], places, "o", color="#0072B2", markersize=4)
+    effects.plot(first["dz_paper"], places, "D", color="#E69F00", markersize=4)
+    effects.set_xlabel(
+        "effect size $d_z$ in the paper's direction: studies (blue), paper at least (orange)", fontsize=8
+    )
+    effects.tick_params(axis="x", labelsize=8)
+    effects.grid(axis="x", color="#E3E3E3", linewidth=0.8)
+    effects.spines[["top", "right"]].set_visible(False)
+    for boundary in np.flatnonzero(np.diff(first["evidence"].map(order))) + 0.5:
+        for axes in (cells, effects):
+            axes.axhline(boundary, color="#222222", linewidth=0.8)
+    return figure

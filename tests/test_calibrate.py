@@ -2,14 +2,18 @@
 
 import sys
 
+import numpy as np
 import pytest
 import torch
 from omegaconf import OmegaConf
 
 from airhockey_marl.cli import InputError
+from airhockey_marl.policy import GaussianPolicy
+from airhockey_marl.table import Table
 from guidance import calibrate
-from guidance.calibrate import fitting_opponent, threshold
+from guidance.calibrate import fitting_opponent, leads_of, stiffest, threshold
 from guidance.forces import uncertainty_weight
+from guidance.models import Models
 
 
 @pytest.mark.parametrize("wanted", [0.25, 0.6, 0.751])
@@ -33,6 +37,35 @@ def test_the_opponent_is_the_newest_within_both_ranges():
         fitting_opponent(trials, [0.6, 0.7], [12, 25])
 
 
+def test_the_stiffest_spring_leaves_the_least_damped_hand_its_share():
+    lead, damping = np.array([0.1, 0.05, -0.02]), np.array([8.0, 3.0, 1.0])
+    assert stiffest(lead, damping, share=0.8, of_people=0.95, step=1.0) == 48.0  # 0.8 * 3 / 0.05
+    assert stiffest(lead, damping, share=0.8, of_people=0.5, step=1.0) == 64.0
+    assert stiffest(lead, damping, share=0.8, of_people=0.95, step=10.0) == 40.0
+
+
+def test_the_lead_of_a_model_that_extrapolates_is_its_look_ahead():
+    """A hand that its paddle follows at once, and a model that says: where the paddle is."""
+    table, tick = Table(), Table().tick
+    at = 0.5 * torch.sin(torch.arange(2000)[:, None] * torch.tensor([[0.02, 0.03]]))
+    half = torch.tensor([table.length / 4 - table.paddle_radius, table.width / 2 - table.paddle_radius])
+    paddle = at * half
+    observation = torch.zeros(2000, 12)
+    observation[1:, :2], observation[1:, 2:4] = paddle[:-1], paddle.diff(dim=0) / tick
+    linear = GaussianPolicy([4])
+    with torch.no_grad():  # four ReLUs for plus and minus x and y; the mean is their difference
+        for parameter in linear.parameters():
+            parameter.zero_()
+        for axis in (0, 1):
+            linear.layers[0].weight[2 * axis, axis], linear.layers[0].weight[2 * axis + 1, axis] = 1.0, -1.0
+            scale = linear.inputs.scale[axis] / half[axis]
+            linear.head.weight[axis, 2 * axis], linear.head.weight[axis, 2 * axis + 1] = scale, -scale
+    models = Models(linear, linear, linear, 1e-9, {})
+    for seconds in (0.0, 0.1):
+        (lead,) = leads_of(models, [(observation, at)] * 2, 2, seconds)
+        assert lead == pytest.approx(seconds, abs=2e-3)
+
+
 def test_the_command_writes_what_it_found_and_what_it_rests_on(monkeypatch, tmp_path, capsys):
     short = ["study.rounds=2", "study.extra_rounds=0", "study.min_seconds=0", "study.round_seconds=12", "games=2"]
     monkeypatch.setattr(sys, "argv", ["calibrate", "opponent=80", *short, f"hydra.run.dir={tmp_path}"])
@@ -41,4 +74,6 @@ def test_the_command_writes_what_it_found_and_what_it_rests_on(monkeypatch, tmp_
     assert found.opponent == 80 and 0 <= found.evidence.opponents[80].win_rate <= 1
     assert found.thresholds.optimal.mean_w_unc == pytest.approx(0.6, abs=0.01)
     assert found.thresholds.user.mean_w_unc == pytest.approx(0.751, abs=0.01)
+    assert found.evidence.stable[0.05].lead < found.evidence.stable[0.2].lead  # a longer look-ahead, a longer lead
+    assert found.stiffness == found.evidence.stable[0.1].stiffness > found.evidence.stable[0.2].stiffness > 0
     assert "thresholds" in capsys.readouterr().out

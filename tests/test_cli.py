@@ -19,6 +19,7 @@ from airhockey_marl.files import load_tensors, save_tensors
 from airhockey_marl.policy import GaussianPolicy
 from guidance import battery, collect, evaluate, meta_train, report
 from guidance.models import Models
+from guidance.provenance import hashes_of, manifest
 
 ROOT = Path(__file__).resolve().parents[1]
 COMMANDS = {
@@ -191,10 +192,10 @@ def test_the_shipped_defaults_are_the_frozen_study():
     with initialize_config_dir(str(CONF), version_base=None):
         cfg = compose("evaluate")
     models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-    facts = evaluate.manifest(cfg, evaluate.hashes_of(cfg, models), "", 0.0)
+    facts = manifest(cfg, hashes_of(cfg, models), "", 0.0)
     assert facts["frozen"]
     cfg.opponent += 1
-    assert not evaluate.manifest(cfg, evaluate.hashes_of(cfg, models), "", 0.0)["frozen"]
+    assert not manifest(cfg, hashes_of(cfg, models), "", 0.0)["frozen"]
 
 
 def test_a_sweep_over_the_nine_merges_into_the_report_of_one_run(monkeypatch, models, tmp_path):

@@ -8,8 +8,8 @@ from omegaconf import OmegaConf
 
 from airhockey_marl.cli import CONF
 from guidance.conditions import Blended, Combined, NoGuidance, Product, Spring, Target, Thresholds, Toward
-from guidance.evaluate import chosen_conditions
 from guidance.forces import similarity_weight, uncertainty_weight
+from guidance.provenance import chosen_conditions
 from guidance.stats import CONDITIONS
 
 SPRING, UT = Spring(stiffness=50.0, limit=3.0, reach=0.075), Thresholds(0.1, 0.3)

@@ -32,10 +32,10 @@ from airhockey_marl.seats import LEARNER, OPPONENT, actor
 from airhockey_marl.table import Table
 from airhockey_marl.tables import Tables
 from airhockey_marl.train import train
-from guidance.evaluate import chosen_conditions
 from guidance.maml import forward, meta_loss, parameters
 from guidance.meta_train import COMPILERS
 from guidance.models import Models
+from guidance.provenance import chosen_conditions
 from guidance.study import run_study
 from guidance.user_model import prediction_loss
 from guidance.users import Users, load_mentors, personal_streams, sample_people

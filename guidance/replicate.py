@@ -1,0 +1,210 @@
+"""Do the study again and again: which of the paper's 38 findings hold over other people, and over other assumptions?
+
+    python -m guidance.replicate                       200 studies, and 3 x 50 under other assumptions
+    python -m guidance.replicate n=20 sensitivity.points=0
+    python -m guidance.replicate resume=outputs/...    go on with a run that was stopped, as if it had not been
+
+A study comes out the same to the last bit whichever others are played beside it. Each of the second kind draws its
+people from a population in which every assumed number is another one (a Latin hypercube), once per variant of how
+people answer a force.
+
+Writes into its run folder: batches/, the trials, a file whenever some studies are done; factors.csv, what was assumed;
+outcomes.csv, a row per study and pair of the paper's; studies.csv, a row per study; robustness.csv, a row per finding
+and kind of study; robustness.png and .svg; replicate.html; manifest.json.
+"""
+
+import base64
+import io
+import time
+from functools import partial
+from pathlib import Path
+
+import hydra
+import matplotlib
+import numpy as np
+import pandas as pd
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+
+from airhockey_marl.cli import (
+    InputError,
+    ProgressBar,
+    command,
+    config_of,
+    input_errors,
+    require_counts,
+    require_numbers,
+)
+from airhockey_marl.files import replacing, write_json, write_text
+from airhockey_marl.inference import steady
+from airhockey_marl.league import League
+from airhockey_marl.page import template
+from airhockey_marl.table import Table
+from guidance.figures import robustness_map
+from guidance.models import Models
+from guidance.provenance import chosen_conditions, frozen_study, hashes_of, manifest, study_hash
+from guidance.robustness import findings_over, leans_on, outcomes_of, scores_of, spread, wrong_over
+from guidance.sensitivity import changed, latin_hypercube
+from guidance.stats import EVIDENCE, METRICS, reference_points
+from guidance.study import Cohort, run_studies
+from guidance.users import Population, load_mentors, sample_people
+from guidance.users.reaction import check_variant
+
+STATE = "manifest.json"  # written when a run begins
+AS_IT_IS = "replicates"  # the group of studies that assume what the study assumes
+
+
+@command("replicate")
+def main(cfg: DictConfig) -> None:
+    with input_errors():
+        if cfg.resume is not None:
+            cfg = config_of(Path(cfg.resume), STATE)
+        check(cfg)
+        population: Population = hydra.utils.instantiate(cfg.users.population)
+        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
+        mentors = load_mentors(cfg.users.mentors)
+        conditions, protocol = chosen_conditions(cfg), hydra.utils.instantiate(cfg.study)
+        factors = assumptions(cfg, population)
+    torch.set_num_threads(cfg.threads)
+    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
+    command_line = " ".join(["python -m guidance.replicate", *HydraConfig.get().overrides.task])
+    facts = manifest(cfg, hashes_of(cfg, models), command_line, 0.0)
+    facts["frozen"] = study_hash(cfg, hashes_of(cfg, models)) == frozen_study()["study_hash"]  # with other seeds
+    write_json(folder / STATE, facts)
+    with replacing(folder / "factors.csv") as temporary:
+        factors.to_csv(temporary, index_label="study")
+
+    progress, began = ProgressBar(), time.perf_counter()
+    batches = batches_of(cfg)
+    for i, (group, variant, studies) in enumerate(batches):
+        file = folder / "batches" / f"{group}-{studies[0]:04d}.csv"
+        if file.is_file():
+            continue
+        cohorts = [
+            Cohort(sample_people(cfg.participants, seed, changed(population, factors.loc[study])), seed)
+            if group != AS_IT_IS
+            else Cohort(sample_people(cfg.participants, seed, population), seed)
+            for study, seed in ((study, cfg.seed + study) for study in studies)
+        ]
+        told = partial(_tell, progress, f"batch {i + 1} of {len(batches)}")
+        scales = OmegaConf.to_container(cfg.users.scales)
+        how = (cfg.guidance.lookahead, protocol, Table(), variant, mentors, scales, told)
+        trials = run_studies(cohorts, conditions, models, opponent, *how)
+        with replacing(file) as temporary:
+            pd.concat([t.assign(group=group, study=k) for k, t in zip(studies, trials, strict=True)]).to_csv(
+                temporary, index=False
+            )
+    progress.close()
+    write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
+    print(summarise(folder, cfg, facts, factors))
+    print(f"\nreport: {folder / 'replicate.html'}")
+
+
+def check(cfg: DictConfig) -> None:
+    """Refuse what cannot run.
+
+    Raises:
+        ValueError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "together", "threads")
+    require_counts(cfg, "participants", least=3)  # fewer cannot be tested
+    require_counts(cfg, "n", "seed", "sensitivity.points", least=0)
+    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
+    require_numbers(cfg, "sensitivity.largest", above=1.0)
+    if not cfg.n and not (cfg.sensitivity.points and cfg.sensitivity.variants):
+        raise InputError("n = 0 must be at least 1 where sensitivity.points is 0: there is nothing to do")
+    for variant in (cfg.users.variant, *cfg.sensitivity.variants):
+        check_variant(variant)
+
+
+def assumptions(cfg: DictConfig, population: Population) -> pd.DataFrame:
+    """By study (those after the first `n`), the factor of each assumed number."""
+    points, names = cfg.sensitivity.points, list(cfg.sensitivity.parameters)
+    if not points:
+        return pd.DataFrame(columns=names)
+    factors = latin_hypercube(names, points, cfg.sensitivity.largest, cfg.seed)
+    for _, row in factors.iterrows():
+        changed(population, row)  # refuses a name or a value before any work
+    return factors.set_index(np.arange(cfg.n, cfg.n + points))
+
+
+def batches_of(cfg: DictConfig) -> list[tuple[str, str, list[int]]]:
+    """What is played side by side: group, variant, and the numbers of the studies.
+
+    The variants get the same people against the same serves.
+    """
+    groups = [(AS_IT_IS, cfg.users.variant, range(cfg.n))]
+    groups += [(v, v, range(cfg.n, cfg.n + cfg.sensitivity.points)) for v in cfg.sensitivity.variants]
+    return [
+        (group, variant, list(studies[first : first + cfg.together]))
+        for group, variant, studies in groups
+        for first in range(0, len(studies), cfg.together)
+    ]
+
+
+def _tell(progress: ProgressBar, batch: str, what: str, share: float) -> None:
+    progress(f"{batch}, {what}", share)
+
+
+def summarise(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame) -> str:
+    """Test every study and write tables, figure and page; what the screen says is returned."""
+    withdrawn, outcomes, scores = list(cfg.users.withdrawn), [], []
+    for group, _, studies in batches_of(cfg):
+        batch = pd.read_csv(folder / "batches" / f"{group}-{studies[0]:04d}.csv", dtype={"user": "str"})
+        for study, trials in batch.groupby("study"):
+            outcome = outcomes_of(trials, withdrawn)
+            outcomes.append(outcome.assign(group=group, study=study))
+            scores.append({"group": group, "study": study} | scores_of(trials, outcome))
+    outcomes, scores = pd.concat(outcomes, ignore_index=True), pd.DataFrame(scores)
+    findings, wrong = findings_over(outcomes), wrong_over(outcomes)
+    groups = list(scores["group"].unique())
+    leans = {group: leans_on(outcomes[outcomes["group"] == group], factors) for group in groups if group != AS_IT_IS}
+    tables = {"outcomes": outcomes, "studies": scores, "robustness": findings}
+    for name, table in tables.items():
+        with replacing(folder / f"{name}.csv") as temporary:
+            table.to_csv(temporary, index=False)
+    with matplotlib.rc_context({"svg.hashsalt": "robustness", "font.family": "DejaVu Sans"}):
+        figure, svg = robustness_map(findings, METRICS), io.BytesIO()
+        with replacing(folder / "robustness.png") as temporary:
+            figure.savefig(temporary, dpi=130)
+        figure.savefig(svg, format="svg", metadata={"Date": None})
+    with replacing(folder / "robustness.svg") as temporary:
+        temporary.write_bytes(svg.getvalue())
+    by_group = {
+        group: {"studies": len(rows)} | {name: spread(rows[name]) for name in rows.columns[2:]}
+        for group, rows in scores.groupby("group", sort=False)
+    }
+    by_chance, rerun = reference_points(cfg.participants)
+    page = template(Path(__file__).parent, "replicate_template.html").render(
+        groups=by_group,
+        wrong=wrong[wrong["outcome"] >= 0.25].sort_values("outcome", ascending=False).to_dict("records"),
+        leans={group: table[table["p"] < 0.05].to_dict("records") for group, table in leans.items()},
+        evidence=EVIDENCE,
+        metrics=METRICS,
+        withdrawn=withdrawn,
+        cells=findings.loc[findings["group"] == groups[0], "evidence"].value_counts().to_dict(),
+        counting=int((findings.loc[findings["group"] == groups[0], "withdrawn"] == 0).sum()),
+        by_chance=by_chance,
+        rerun=rerun,
+        figure=base64.b64encode(svg.getvalue()).decode("ascii"),
+        facts=facts,
+        as_it_is=AS_IT_IS,
+    )
+    write_text(folder / "replicate.html", page)
+    lines = [
+        f"{'':12}{'studies':>8}{'of 38':>16}" + "".join(f"{e:>8}" for e in EVIDENCE) + f"{'reversed':>10}{'wrong':>8}"
+    ]
+    for group, row in by_group.items():
+        total = row["replicated"]
+        lines.append(
+            f"{group:12}{row['studies']:>8}{total['mean']:>6.1f} [{total['low']:.0f}, {total['high']:.0f}]".ljust(36)
+            + "".join(f"{row[f'replicated_{e}']['mean']:>8.1f}" for e in EVIDENCE)
+            + f"{row['reversed']['mean']:>10.1f}{row['wrongly_significant']['mean']:>8.1f}"
+        )
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    main()
