@@ -15,7 +15,16 @@ COMMANDS = {
     *(f"airhockey_marl.{name}" for name in ("train", "league_report", "compare", "grid")),
     *(
         f"guidance.{name}"
-        for name in ("collect", "battery", "watch", "prediction_report", "meta_train", "calibrate", "evaluate", "replicate")
+        for name in (
+            "collect",
+            "battery",
+            "watch",
+            "prediction_report",
+            "meta_train",
+            "calibrate",
+            "evaluate",
+            "replicate",
+        )
     ),
 }
 
