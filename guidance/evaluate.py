@@ -11,6 +11,7 @@ Writes into its run folder: trials.csv (a row per person and condition), tests.c
 figure6.png and .svg, report.html, and manifest.json (configuration, seeds, models, versions).
 """
 
+import sys
 import time
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from guidance.games import Protocol
 from guidance.models import Models
 from guidance.provenance import chosen_conditions, hashes_of, manifest
 from guidance.report import screen_table, write_report
-from guidance.study import run_study
+from guidance.study import NINE, balanced, run_study, williams
 from guidance.users import Population, load_mentors, sample_people
 from guidance.users.rating import RATINGS
 from guidance.users.reaction import check_variant
@@ -52,6 +53,9 @@ def main(cfg: DictConfig) -> None:
             if name not in RATINGS:
                 raise ValueError(f"users.withdrawn: {name!r} must be one of {', '.join(RATINGS)}")
         check_variant(cfg.users.variant)
+    if not balanced(cfg.participants, len(NINE)):
+        rows = len(williams(len(NINE)))
+        print(f"note: the order of nine conditions is balanced over multiples of {rows} people", file=sys.stderr)
     torch.set_num_threads(cfg.threads)
     progress = ProgressBar()
     trials = run_study(

@@ -6,7 +6,8 @@
 
 A study comes out the same to the last bit whichever others are played beside it. Each of the second kind draws its
 people from a population in which every assumed number is another one (a Latin hypercube), once per variant of how
-people answer a force.
+people answer a force. A few more are negative controls, which must leave UA nothing to do: everybody's game is taken
+for somebody else's, or all people have one style.
 
 Writes into its run folder: batches/, the trials, a file whenever some studies are done; factors.csv, what was assumed;
 outcomes.csv, a row per study and pair of the paper's; studies.csv, a row per study; robustness.csv, a row per finding
@@ -16,6 +17,7 @@ and kind of study; robustness.png and .svg; replicate.html; manifest.json.
 import base64
 import io
 import time
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -44,15 +46,45 @@ from airhockey_marl.table import Table
 from guidance.figures import robustness_map
 from guidance.models import Models
 from guidance.provenance import chosen_conditions, frozen_study, hashes_of, manifest, study_hash
-from guidance.robustness import findings_over, leans_on, outcomes_of, scores_of, spread, wrong_over
+from guidance.robustness import findings_over, leans_on, outcomes_of, scores_of, spread, ua_over, wrong_over
 from guidance.sensitivity import changed, latin_hypercube
 from guidance.stats import EVIDENCE, METRICS, reference_points
 from guidance.study import Cohort, run_studies
 from guidance.users import Population, load_mentors, sample_people
+from guidance.users.population import TRAITS
 from guidance.users.reaction import check_variant
 
 STATE = "manifest.json"  # written when a run begins
-AS_IT_IS = "replicates"  # the group of studies that assume what the study assumes
+# groups of studies: that assume what the study assumes; that leave UA nothing to do; and by the name of their variant,
+# those under other assumptions
+AS_IT_IS, SWAPPED, ALIKE = "replicates", "swapped", "alike"
+
+
+@dataclass(frozen=True)
+class Batch:
+    """Studies that are played side by side and written down together.
+
+    Attributes:
+        group: what they have in common.
+        variant: of how people answer a force.
+        studies: their numbers.
+    """
+
+    group: str
+    variant: str
+    studies: list[int]
+
+    def file(self, folder: Path) -> Path:
+        """Where their trials are written."""
+        return folder / "batches" / f"{self.group}-{self.studies[0]:04d}.csv"
+
+    def population(self, usual: Population, factors: pd.DataFrame, study: int) -> Population:
+        """From which the people of a study are drawn."""
+        if self.group in (AS_IT_IS, SWAPPED):
+            return usual
+        if self.group == ALIKE:
+            return replace(usual, trait_concentration=float("inf"), archetypes={"alike": [0.5] * len(TRAITS)})
+        return changed(usual, factors.loc[study])
 
 
 @command("replicate")
@@ -78,24 +110,21 @@ def main(cfg: DictConfig) -> None:
 
     progress, began = ProgressBar(), time.perf_counter()
     batches = batches_of(cfg)
-    for i, (group, variant, studies) in enumerate(batches):
-        file = folder / "batches" / f"{group}-{studies[0]:04d}.csv"
-        if file.is_file():
+    scales = OmegaConf.to_container(cfg.users.scales)
+    for i, batch in enumerate(batches):
+        if (file := batch.file(folder)).is_file():
             continue
+        populations = [batch.population(population, factors, study) for study in batch.studies]
         cohorts = [
-            Cohort(sample_people(cfg.participants, seed, changed(population, factors.loc[study])), seed)
-            if group != AS_IT_IS
-            else Cohort(sample_people(cfg.participants, seed, population), seed)
-            for study, seed in ((study, cfg.seed + study) for study in studies)
+            Cohort(sample_people(cfg.participants, cfg.seed + study, drawn_from), cfg.seed + study)
+            for study, drawn_from in zip(batch.studies, populations, strict=True)
         ]
         told = partial(_tell, progress, f"batch {i + 1} of {len(batches)}")
-        scales = OmegaConf.to_container(cfg.users.scales)
-        how = (cfg.guidance.lookahead, protocol, Table(), variant, mentors, scales, told)
-        trials = run_studies(cohorts, conditions, models, opponent, *how)
+        how = (cfg.guidance.lookahead, protocol, Table(), batch.variant, mentors, scales, told)
+        trials = run_studies(cohorts, conditions, models, opponent, *how, swapped=batch.group == SWAPPED)
+        numbered = [t.assign(group=batch.group, study=k) for k, t in zip(batch.studies, trials, strict=True)]
         with replacing(file) as temporary:
-            pd.concat([t.assign(group=group, study=k) for k, t in zip(studies, trials, strict=True)]).to_csv(
-                temporary, index=False
-            )
+            pd.concat(numbered).to_csv(temporary, index=False)
     progress.close()
     write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
     print(summarise(folder, cfg, facts, factors))
@@ -110,7 +139,7 @@ def check(cfg: DictConfig) -> None:
     """
     require_counts(cfg, "together", "threads")
     require_counts(cfg, "participants", least=3)  # fewer cannot be tested
-    require_counts(cfg, "n", "seed", "sensitivity.points", least=0)
+    require_counts(cfg, "n", "seed", "controls", "sensitivity.points", least=0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "sensitivity.largest", above=1.0)
     if not cfg.n and not (cfg.sensitivity.points and cfg.sensitivity.variants):
@@ -130,15 +159,13 @@ def assumptions(cfg: DictConfig, population: Population) -> pd.DataFrame:
     return factors.set_index(np.arange(cfg.n, cfg.n + points))
 
 
-def batches_of(cfg: DictConfig) -> list[tuple[str, str, list[int]]]:
-    """What is played side by side: group, variant, and the numbers of the studies.
-
-    The variants get the same people against the same serves.
-    """
+def batches_of(cfg: DictConfig) -> list[Batch]:
+    """All studies. The variants get the same people and serves, and a control those of the first replicates."""
     groups = [(AS_IT_IS, cfg.users.variant, range(cfg.n))]
     groups += [(v, v, range(cfg.n, cfg.n + cfg.sensitivity.points)) for v in cfg.sensitivity.variants]
+    groups += [(control, cfg.users.variant, range(cfg.controls)) for control in (SWAPPED, ALIKE)]
     return [
-        (group, variant, list(studies[first : first + cfg.together]))
+        Batch(group, variant, list(studies[first : first + cfg.together]))
         for group, variant, studies in groups
         for first in range(0, len(studies), cfg.together)
     ]
@@ -151,12 +178,11 @@ def _tell(progress: ProgressBar, batch: str, what: str, share: float) -> None:
 def summarise(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame) -> str:
     """Test every study and write tables, figure and page; what the screen says is returned."""
     withdrawn, outcomes, scores = list(cfg.users.withdrawn), [], []
-    for group, _, studies in batches_of(cfg):
-        batch = pd.read_csv(folder / "batches" / f"{group}-{studies[0]:04d}.csv", dtype={"user": "str"})
-        for study, trials in batch.groupby("study"):
+    for batch in batches_of(cfg):
+        for study, trials in pd.read_csv(batch.file(folder), dtype={"user": "str"}).groupby("study"):
             outcome = outcomes_of(trials, withdrawn)
-            outcomes.append(outcome.assign(group=group, study=study))
-            scores.append({"group": group, "study": study} | scores_of(trials, outcome))
+            outcomes.append(outcome.assign(group=batch.group, study=study))
+            scores.append({"group": batch.group, "study": study} | scores_of(trials, outcome))
     outcomes, scores = pd.concat(outcomes, ignore_index=True), pd.DataFrame(scores)
     findings, wrong = findings_over(outcomes), wrong_over(outcomes)
     groups = list(scores["group"].unique())
@@ -190,7 +216,8 @@ def summarise(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
         rerun=rerun,
         figure=base64.b64encode(svg.getvalue()).decode("ascii"),
         facts=facts,
-        as_it_is=AS_IT_IS,
+        names={AS_IT_IS: "as the study is", SWAPPED: "UA from somebody else’s game", ALIKE: "people of one style"},
+        ua=ua_over(outcomes).to_dict("records"),
     )
     write_text(folder / "replicate.html", page)
     lines = [

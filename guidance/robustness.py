@@ -74,6 +74,19 @@ def wrong_over(outcomes: pd.DataFrame) -> pd.DataFrame:
     return others.groupby(keys, sort=False)["outcome"].agg(lambda c: c.eq("wrongly_significant").mean()).reset_index()
 
 
+def ua_over(outcomes: pd.DataFrame) -> pd.DataFrame:
+    """What UA alone changes, (e) against (d), per group: mean effect size of e - d, and its 95 % interval over studies.
+
+    Returns:
+        `group`, `metric`, `studies`, `mean`, `low`, `high`.
+    """
+    pairs = outcomes[outcomes["x"].eq("d") & outcomes["y"].eq("e")]
+    grouped = pairs.groupby(["group", "metric"], sort=False)["dz"]
+    n, mean, error = grouped.count(), -grouped.mean(), grouped.sem()
+    half = error * scipy_stats.t.isf(0.025, (n - 1).where(n > 1))
+    return pd.DataFrame({"studies": n, "mean": mean, "low": mean - half, "high": mean + half}).reset_index()
+
+
 def leans_on(outcomes: pd.DataFrame, factors: pd.DataFrame, strongest: int = 3) -> pd.DataFrame:
     """Which assumptions each finding's effect leans on.
 

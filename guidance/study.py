@@ -11,6 +11,7 @@ from string import ascii_lowercase
 
 import numpy as np
 import pandas as pd
+import torch
 
 from airhockey_marl.match import Player
 from airhockey_marl.table import Table
@@ -50,6 +51,11 @@ def williams(conditions: int) -> np.ndarray:
     return square if conditions % 2 == 0 else np.concatenate([square, square[:, ::-1]])
 
 
+def balanced(users: int, conditions: int) -> bool:
+    """Whether so many users can play so many conditions in the orders of a Williams design, each equally often."""
+    return users % len(williams(conditions)) == 0
+
+
 def order_of(users: int, conditions: int, seed: int) -> np.ndarray:
     """(users, conditions) the position, from 1, at which each user plays each condition.
 
@@ -77,11 +83,13 @@ def run_studies(
     mentors: Mentors,
     rating_scales: dict[str, float],
     progress: Callable[[str, float], None] = lambda what, share: None,
+    swapped: bool = False,
 ) -> list[pd.DataFrame]:
     """Put simulated people through the whole protocol, all studies side by side.
 
     Args:
         progress: is told what is going on, and the share of it that is done.
+        swapped: for UA, everybody's game is taken for somebody else's: a negative control.
 
     Returns:
         Per study one row per user and condition: the columns of `trials.csv`.
@@ -102,6 +110,8 @@ def run_studies(
     if any("adapted" in condition.guidance.models() for condition in conditions):
         _, unscored = games_of([NO_CONDITION], no_force, "unscored game", demonstrations=True)
         adapted = models.adapted_to(unscored.demonstrations)
+        if swapped:
+            adapted = adapted[_neighbours([len(cohort.people) for cohort in cohorts])]
 
     guide = Guide(conditions, len(people), models, adapted, lookahead_seconds)
     participants, games = games_of([ascii_lowercase.index(c.letter) for c in conditions], guide, "games")
@@ -119,6 +129,14 @@ def run_studies(
         trials.append(_table_of(cohort, conditions, own))
         first += len(cohort.people)
     return trials
+
+
+def _neighbours(sizes: Sequence[int]) -> torch.Tensor:
+    """For everybody the number of the person before in the same cohort, for its first person the last."""
+    firsts = np.cumsum([0, *sizes[:-1]])
+    return torch.from_numpy(
+        np.concatenate([first + np.roll(np.arange(n), 1) for first, n in zip(firsts, sizes, strict=True)])
+    )
 
 
 def _table_of(cohort: Cohort, conditions: Sequence[Condition], columns: dict[str, np.ndarray]) -> pd.DataFrame:

@@ -3,10 +3,11 @@
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats as scipy_stats
 
 from guidance import replicate
 from guidance.figures import robustness_map
-from guidance.robustness import findings_over, leans_on, outcomes_of, scores_of, wrong_over
+from guidance.robustness import findings_over, leans_on, outcomes_of, scores_of, ua_over, wrong_over
 from guidance.stats import METRICS
 from tests.test_cli import smoke, start
 from tests.test_report import synthetic_trials
@@ -45,6 +46,15 @@ def test_scores_add_up(outcomes):
     assert scores["win_rate_nhg"] == trials.loc[trials["condition"] == "nhg", "win_rate"].mean()
 
 
+def test_what_ua_changes_is_the_effect_of_e_over_d(outcomes):
+    found = ua_over(outcomes).set_index("metric")
+    pair = outcomes[(outcomes["x"] == "d") & (outcomes["y"] == "e") & (outcomes["metric"] == "win_rate")]
+    assert found.loc["win_rate", "mean"] == pytest.approx(-pair["dz"].mean())
+    low, high = found.loc["win_rate", ["low", "high"]]
+    interval = scipy_stats.t.interval(0.95, len(pair) - 1, -pair["dz"].mean(), pair["dz"].sem())
+    assert (low, high) == pytest.approx(interval)
+
+
 def test_the_assumption_that_matters_is_found(outcomes):
     rng = np.random.default_rng(0)
     studies = pd.concat([outcomes[outcomes["study"] == 0].assign(study=k) for k in range(40)], ignore_index=True)
@@ -67,8 +77,7 @@ def test_a_killed_run_ends_like_one_never_killed(tmp_path, monkeypatch):
     smoke("guidance.replicate", f"hydra.run.dir={tmp_path}/whole")
     batches = sorted(path.name for path in (tmp_path / "whole" / "batches").iterdir())
     assert batches == [f"{g}-{k:04d}.csv" for g in ("V0", "V1", "V2") for k in (3, 5)] + [
-        "replicates-0000.csv",
-        "replicates-0002.csv",
+        *("alike-0000.csv", "replicates-0000.csv", "replicates-0002.csv", "swapped-0000.csv")
     ]
     expected = {name: (tmp_path / "whole" / name).read_bytes() for name in (*RESULTS, "robustness.svg")}
     for name in (*RESULTS, "batches/V1-0003.csv", "batches/replicates-0002.csv", "replicate.html"):

@@ -15,7 +15,7 @@ from guidance.conditions import Combined, Condition, NoGuidance, Spring, Thresho
 from guidance.games import Protocol, no_force, play_games, streams
 from guidance.guide import Guide
 from guidance.models import Models
-from guidance.study import Cohort, order_of, run_studies, run_study, williams
+from guidance.study import Cohort, balanced, order_of, run_studies, run_study, williams
 from guidance.users import NO_MENTORS, Users, sample_people
 
 SHORT = Protocol(familiarisation=0.2, rounds=2, extra_rounds=1, min_seconds=4, round_seconds=3)
@@ -79,6 +79,19 @@ def test_a_study_is_played_alike_alone_and_beside_others(models):
     how = ([NHG, OAHG, COMBHG], models, opponent, 0.1, SHORT, Table(), "V1", NO_MENTORS, SCALES)
     for cohort, trials in zip(cohorts, run_studies(cohorts, *how), strict=True):
         assert trials.equals(run_studies([cohort], *how)[0])
+
+
+def test_swapped_demonstrations_change_ua_and_nothing_else(models):
+    cohorts = [Cohort(sample_people(n, n), n) for n in (3, 2)]
+    how = ([NHG, OAHG, UPHG_UA], models, opponent, 0.1, SHORT, Table(), "V1", NO_MENTORS, SCALES)
+    for own, swapped in zip(run_studies(cohorts, *how), run_studies(cohorts, *how, swapped=True), strict=True):
+        ua = own["condition"] == "uphg_ua"
+        assert own[~ua].equals(swapped[~ua])
+        assert (own.loc[ua, "mean_disagreement"] != swapped.loc[ua, "mean_disagreement"]).all()
+
+
+def test_nine_orders_are_balanced_over_multiples_of_eighteen():
+    assert balanced(36, 9) and not balanced(20, 9) and balanced(20, 4)
 
 
 def test_a_condition_beyond_the_nine_comes_after_them(models):
