@@ -9,10 +9,11 @@ from math import exp
 
 import numpy as np
 import torch
-from numba import float32, njit, prange
+from numba import float32, njit
 from torch import Tensor, nn
 
 from airhockey_marl.match import Player
+from airhockey_marl.parallel import over_rows
 from airhockey_marl.policy import PADDLE, GaussianPolicy
 
 
@@ -71,12 +72,6 @@ def _answers(rows, weights, sizes, from_paddle, scale, observation, which, mean,
         _answer(row, weights, sizes, from_paddle, scale, observation, which, mean, std)
 
 
-@njit(cache=True, parallel=True)
-def _answers_in_parallel(rows, weights, sizes, from_paddle, scale, observation, which, mean, std):
-    for i in prange(len(rows)):
-        _answer(rows[i], weights, sizes, from_paddle, scale, observation, which, mean, std)
-
-
 class RowByRow:
     """One or several models of an architecture, for rows that each ask one of them.
 
@@ -84,8 +79,6 @@ class RowByRow:
         policy: the architecture, and the model if `weights` are not given.
         weights: by the names of the parameters, (k, ...) each: k models. Copied.
     """
-
-    PARALLEL_FROM = 512  # rows; below, starting the threads costs more than they save
 
     def __init__(self, policy: GaussianPolicy, weights: Mapping[str, Tensor] | None = None) -> None:
         if weights is None:
@@ -107,8 +100,19 @@ class RowByRow:
         rows = np.arange(n) if which is None else np.argsort(which, kind="stable")
         which = np.zeros(n, dtype=np.int64) if which is None else which
         mean, std = np.empty((n, 2), dtype=np.float32), np.empty((n, 2), dtype=np.float32)
-        ask = _answers_in_parallel if n >= self.PARALLEL_FROM else _answers
-        ask(rows, self._weights, self._sizes, self._from_paddle, self._scale, observation, which, mean, std)
+        over_rows(
+            _answers,
+            rows,
+            self._weights,
+            self._sizes,
+            self._from_paddle,
+            self._scale,
+            observation,
+            which,
+            mean,
+            std,
+            least=256,
+        )
         return mean, std
 
 

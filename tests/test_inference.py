@@ -39,7 +39,6 @@ def test_each_row_asks_its_own_model():
 def test_no_bit_depends_on_the_company_or_on_the_number_of_threads():
     rows, seen = RowByRow(restless([64, 64])), np.random.default_rng(0).normal(size=(2000, 12))
     everyone = rows(seen)
-    assert len(seen) > RowByRow.PARALLEL_FROM
     for some in (slice(3, 4), slice(0, 77), slice(500, 1900)):
         for alone, together in zip(rows(seen[some]), everyone, strict=True):
             assert np.array_equal(alone, together[some])

@@ -74,7 +74,7 @@ def test_a_condition_is_played_alike_alone_and_among_others(models):
 
 
 def test_a_study_is_played_alike_alone_and_beside_others(models):
-    """A hundred people are enough for the kernels that run in parallel to be used."""
+    """A hundred people are enough for the kernels to run on several threads."""
     cohorts = [Cohort(sample_people(n, n), n) for n in (3, 100, 4)]
     how = ([NHG, OAHG, COMBHG], models, opponent, 0.1, SHORT, Table(), "V1", NO_MENTORS, SCALES)
     for cohort, trials in zip(cohorts, run_studies(cohorts, *how), strict=True):

@@ -4,12 +4,13 @@ from math import ceil
 
 import numpy as np
 
+from airhockey_marl.parallel import over_rows
 from airhockey_marl.table import Table, check_table
 from guidance.users.arm import ARM
 from guidance.users.intention import NOTHING, Intention
 from guidance.users.mentors import NO_MENTORS, Mentors
 from guidance.users.mind import MIND
-from guidance.users.player import begin_rounds, play, play_in_parallel
+from guidance.users.player import begin_rounds, play
 from guidance.users.population import PERSON
 from guidance.users.rating import SIGNALS, TALLY, answers, appraisals, signals
 from guidance.users.reaction import Variant
@@ -31,8 +32,6 @@ class Users:
     Raises:
         ValueError: a shape, dtype or variant is wrong.
     """
-
-    PARALLEL_FROM = 256  # rows; below, starting the threads costs more than they save
 
     def __init__(
         self,
@@ -110,8 +109,8 @@ class Users:
             if not np.isfinite(value).all():
                 raise ValueError(f"{name} = {np.asarray(value)[~np.isfinite(value)][0]} must be finite")
         rows = self._all if rows is None else rows
-        live = play_in_parallel if len(rows) >= self.PARALLEL_FROM else play
-        live(
+        over_rows(
+            play,
             rows,
             self.people,
             self._minds,
@@ -129,6 +128,7 @@ class Users:
             self.table,
             self.streams,
             self._action,
+            least=128,
         )
         return self._action
 

@@ -7,7 +7,7 @@ one, delete `guidance/users/__pycache__`.
 from math import exp, hypot, log
 
 import numpy as np
-from numba import njit, prange
+from numba import njit
 
 from airhockey_marl.tables import random_unit
 from guidance.users.arm import (
@@ -340,7 +340,7 @@ def _live(
     action[index, 1] = clamp(arm.hand_y / HAND_REACH, -1.0, 1.0)
 
 
-@njit(cache=True)
+@njit(cache=True, nogil=True)
 def play(
     rows,
     people,
@@ -379,49 +379,6 @@ def play(
     for index in rows:
         _live(
             index,
-            people,
-            minds,
-            arms,
-            tallies,
-            seen,
-            felt,
-            off,
-            partner,
-            trail,
-            mentors,
-            state,
-            force,
-            variant,
-            table,
-            rng,
-            action,
-        )
-
-
-@njit(cache=True, parallel=True)
-def play_in_parallel(
-    rows,
-    people,
-    minds,
-    arms,
-    tallies,
-    seen,
-    felt,
-    off,
-    partner,
-    trail,
-    mentors,
-    state,
-    force,
-    variant,
-    table,
-    rng,
-    action,
-):
-    """As `play`, on all cores."""
-    for i in prange(len(rows)):
-        _live(
-            rows[i],
             people,
             minds,
             arms,
