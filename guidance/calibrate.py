@@ -26,6 +26,7 @@ from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, r
 from airhockey_marl.files import write_text
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
+from airhockey_marl.match import Player, play_rounds
 from airhockey_marl.table import Table
 from guidance.conditions import ADAPTED, OPTIMAL
 from guidance.forces import uncertainty_weight
@@ -48,9 +49,10 @@ def main(cfg: DictConfig) -> None:
         require_counts(cfg, "seed", least=0)
         require_numbers(cfg, "w_unc.optimal", "w_unc.user", "low_over_high", at_most=0.999)
         require_numbers(cfg, "stability.rule.share", "stability.rule.of_people", at_most=1.0)
-        require_numbers(cfg, "stability.rule.step", "guidance.lookahead")
-        if not all(isinstance(seconds, float) and 0 < seconds <= 1 for seconds in cfg.stability.lookaheads):
-            raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers above 0 and at most 1")
+        require_numbers(cfg, "stability.rule.step")
+        require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
+        if not all(isinstance(seconds, float) and 0 <= seconds <= 1 for seconds in cfg.stability.lookaheads):
+            raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers from 0 to 1")
         people = training_people(cfg.seed, hydra.utils.instantiate(cfg.users.population))
         mentors = load_mentors(cfg.users.mentors)
         protocol = hydra.utils.instantiate(cfg.study, familiarisation=0)
@@ -96,7 +98,11 @@ def main(cfg: DictConfig) -> None:
     }
     damping = people["stiffness"] * people["damping_time"] + people["device_damping"]
     stable = {
-        seconds: {"lead": round(float(lead.mean()), 4), "stiffness": stiffest(lead, damping, **cfg.stability.rule)}
+        seconds: {
+            "lead": round(float(lead.mean()), 4),
+            "stiffness": stiffest(lead, damping, **cfg.stability.rule),
+            "optimal_wins": round(optimal_wins(models, steady(league.player(opponent)), seconds, cfg.seed), 3),
+        }
         for seconds, lead in leads.items()
     }
     found = {
@@ -152,6 +158,19 @@ def leads_of(
         distance, velocity = torch.cat(distances), torch.cat(velocities)
         leads.append(((distance * velocity).sum() / velocity.square().sum()).item())
     return np.array(leads)
+
+
+def optimal_wins(models: Models, opponent: Player, lookahead_seconds: float, seed: int) -> float:
+    """Share of decided rounds that the optimal action model itself wins, asked every tick about the looked-ahead state.
+
+    No rule rests on it. But it says what OAHG can hope for: an action that is right in a while is not right now.
+    """
+
+    def looking_ahead(observation: Tensor) -> Tensor:
+        return models.optimal(models.anticipated(OPTIMAL, observation, lookahead_seconds))[0]
+
+    won, lost, _ = play_rounds(looking_ahead, opponent, 100, 4, seed, decision_ticks=1).sum(axis=0)
+    return float(won / (won + lost))
 
 
 def stiffest(lead: np.ndarray, damping: np.ndarray, share: float, of_people: float, step: float) -> float:

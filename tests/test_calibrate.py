@@ -76,4 +76,5 @@ def test_the_command_writes_what_it_found_and_what_it_rests_on(monkeypatch, tmp_
     assert found.thresholds.user.mean_w_unc == pytest.approx(0.751, abs=0.01)
     assert found.evidence.stable[0.05].lead < found.evidence.stable[0.2].lead  # a longer look-ahead, a longer lead
     assert found.stiffness == found.evidence.stable[0.1].stiffness > found.evidence.stable[0.2].stiffness > 0
+    assert all(0 <= row.optimal_wins <= 1 for row in found.evidence.stable.values())
     assert "thresholds" in capsys.readouterr().out
