@@ -186,7 +186,7 @@ def summarise(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
     outcomes, scores = pd.concat(outcomes, ignore_index=True), pd.DataFrame(scores)
     findings, wrong = findings_over(outcomes), wrong_over(outcomes)
     groups = list(scores["group"].unique())
-    leans = {group: leans_on(outcomes[outcomes["group"] == group], factors) for group in groups if group != AS_IT_IS}
+    leans = {v: leans_on(outcomes[outcomes["group"] == v], factors) for v in cfg.sensitivity.variants if v in groups}
     tables = {"outcomes": outcomes, "studies": scores, "robustness": findings}
     for name, table in tables.items():
         with replacing(folder / f"{name}.csv") as temporary:
