@@ -128,9 +128,7 @@ def robustness_map(findings: pd.DataFrame, metrics: Mapping[str, Metric]) -> Fig
     effects.hlines(places, first["low"], first["high"], color="#0072B2", linewidth=2.2, alpha=0.55)
     effects.plot(first["median"], places, "o", color="#0072B2", markersize=4)
     effects.plot(first["dz_paper"], places, "D", color="#E69F00", markersize=4)
-    effects.set_xlabel(
-        "effect size $d_z$ in the paper's direction: studies (blue), paper at least (orange)", fontsize=8
-    )
+    effects.set_xlabel("$d_z$ toward the paper: studies (blue), paper, at least (orange)", fontsize=8)
     effects.tick_params(axis="x", labelsize=8)
     effects.grid(axis="x", color="#E3E3E3", linewidth=0.8)
     effects.spines[["top", "right"]].set_visible(False)
