@@ -3,8 +3,9 @@
 from math import cos, floor, hypot, pi, sin
 
 import numpy as np
-from numba import config, njit, prange
+from numba import njit
 
+from airhockey_marl.parallel import over_rows
 from airhockey_marl.table import LEFT, PUCK, RIGHT, VX, VY, Table, X, Y, check_table, clamp, compiled, tick
 
 
@@ -95,20 +96,10 @@ def _play_table(index, bodies, watch, rng, actions, ticks, goals, touched, serve
         served[index] |= referee(bodies[index], watch[index], rng, index, table)
 
 
-@compiled
-def _play_in_turn(rows, bodies, watch, rng, actions, ticks, goals, touched, served, values):
+@njit(cache=True, nogil=True)
+def _play_tables(rows, bodies, watch, rng, actions, ticks, goals, touched, served, values):
     for index in rows:
         _play_table(index, bodies, watch, rng, actions, ticks, goals, touched, served, values)
-
-
-# With OpenMP, which torch uses too, numba would change the number of torch's threads under its feet.
-config.THREADING_LAYER = "workqueue"
-
-
-@njit(cache=True, parallel=True)
-def _play_in_parallel(rows, bodies, watch, rng, actions, ticks, goals, touched, served, values):
-    for i in prange(len(rows)):
-        _play_table(rows[i], bodies, watch, rng, actions, ticks, goals, touched, served, values)
 
 
 @compiled
@@ -167,10 +158,18 @@ class Tables:
         are the tables that play, all of them if None; at the others time stands still.
         """
         rows = self._all if rows is None else rows
-        play = _play_in_parallel if len(rows) >= self.PARALLEL_FROM else _play_in_turn
-        play(
-            rows, self.bodies, self.watch, self.rng, actions, ticks, self.goals, self.touched, self.served, self._values
+        arguments = (
+            self.bodies,
+            self.watch,
+            self.rng,
+            actions,
+            ticks,
+            self.goals,
+            self.touched,
+            self.served,
+            self._values,
         )
+        over_rows(_play_tables, rows, *arguments, least=self.PARALLEL_FROM // 2)
 
     def observe(self, seat: int, out: np.ndarray) -> np.ndarray:
         """Write what `seat` sees into `out` (n, 12) and return it."""

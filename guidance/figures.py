@@ -1,7 +1,10 @@
 """Figures of studies: the paper's Figure 6, and which of its findings hold over many of them."""
 
-from collections.abc import Collection, Mapping
+import io
+from collections.abc import Callable, Collection
+from pathlib import Path
 
+import matplotlib
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -9,11 +12,29 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from scipy import stats
 
+from airhockey_marl.files import replacing
 from guidance.stats import BEYOND, EVIDENCE, METRICS, Condition, Metric, conditions_of
 
 # Okabe and Ito's colours, which people with any kind of colour vision can tell apart
 COLOURS = {"NHG": "#8C8C8C", "OAHG": "#E69F00", "UPHG": "#0072B2", "CombHG": "#009E73", BEYOND: "#CC79A7"}
 SCALE = (1, 7)  # of the ratings
+
+
+def save_figure(draw: Callable[[], Figure], folder: Path, name: str, dpi: int) -> bytes:
+    """Draw a figure and write it as `name`.png and .svg, each whole; the same drawing gives the same bytes.
+
+    Returns:
+        The svg.
+    """
+    # no date and a fixed salt
+    with matplotlib.rc_context({"svg.hashsalt": name, "font.family": "DejaVu Sans"}):
+        figure, svg = draw(), io.BytesIO()
+        with replacing(folder / f"{name}.png") as path:
+            figure.savefig(path, dpi=dpi)
+        figure.savefig(svg, format="svg", metadata={"Date": None})
+    with replacing(folder / f"{name}.svg") as path:
+        path.write_bytes(svg.getvalue())
+    return svg.getvalue()
 
 
 def confidence_half_width(scores: pd.DataFrame) -> pd.Series:
@@ -81,7 +102,7 @@ def _draw_bars(axes: Axes, scores: pd.DataFrame, conditions: list[Condition], me
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def robustness_map(findings: pd.DataFrame, metrics: Mapping[str, Metric]) -> Figure:
+def robustness_map(findings: pd.DataFrame) -> Figure:
     """Draw which findings hold over which studies.
 
     Args:
@@ -119,7 +140,7 @@ def robustness_map(findings: pd.DataFrame, metrics: Mapping[str, Metric]) -> Fig
     labels = []
     for row in first.itertuples():
         less = row.y if row.paper_greater == row.x else row.x
-        labels.append(f"{row.evidence}  {metrics[row.metric].label.lower()}: ({row.paper_greater}) > ({less})")
+        labels.append(f"{row.evidence}  {METRICS[row.metric].label.lower()}: ({row.paper_greater}) > ({less})")
     cells.set_yticks(range(len(pairs)), labels, fontsize=8)
     cells.tick_params(length=0)
     cells.set_title("% of studies that replicate it (reverse it)", fontsize=9, pad=18)

@@ -15,14 +15,12 @@ and kind of study; robustness.png and .svg; replicate.html; manifest.json.
 """
 
 import base64
-import io
 import time
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
 import hydra
-import matplotlib
 import numpy as np
 import pandas as pd
 import torch
@@ -43,9 +41,9 @@ from airhockey_marl.inference import steady
 from airhockey_marl.league import League
 from airhockey_marl.page import template
 from airhockey_marl.table import Table
-from guidance.figures import robustness_map
+from guidance.figures import robustness_map, save_figure
 from guidance.models import Models
-from guidance.provenance import chosen_conditions, frozen_study, hashes_of, manifest, study_hash
+from guidance.provenance import chosen_conditions, frozen_study, hashes_of, manifest
 from guidance.robustness import findings_over, leans_on, outcomes_of, scores_of, spread, ua_over, wrong_over
 from guidance.sensitivity import changed, latin_hypercube
 from guidance.stats import EVIDENCE, METRICS, reference_points
@@ -103,7 +101,7 @@ def main(cfg: DictConfig) -> None:
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
     command_line = " ".join(["python -m guidance.replicate", *HydraConfig.get().overrides.task])
     facts = manifest(cfg, hashes_of(cfg, models), command_line, 0.0)
-    facts["frozen"] = study_hash(cfg, hashes_of(cfg, models)) == frozen_study()["study_hash"]  # with other seeds
+    facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
     write_json(folder / STATE, facts)
     with replacing(folder / "factors.csv") as temporary:
         factors.to_csv(temporary, index_label="study")
@@ -191,13 +189,7 @@ def summarise(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
     for name, table in tables.items():
         with replacing(folder / f"{name}.csv") as temporary:
             table.to_csv(temporary, index=False)
-    with matplotlib.rc_context({"svg.hashsalt": "robustness", "font.family": "DejaVu Sans"}):
-        figure, svg = robustness_map(findings, METRICS), io.BytesIO()
-        with replacing(folder / "robustness.png") as temporary:
-            figure.savefig(temporary, dpi=130)
-        figure.savefig(svg, format="svg", metadata={"Date": None})
-    with replacing(folder / "robustness.svg") as temporary:
-        temporary.write_bytes(svg.getvalue())
+    svg = save_figure(lambda: robustness_map(findings), folder, "robustness", dpi=130)
     by_group = {
         group: {"studies": len(rows)} | {name: spread(rows[name]) for name in rows.columns[2:]}
         for group, rows in scores.groupby("group", sort=False)
@@ -214,7 +206,7 @@ def summarise(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
         counting=int((findings.loc[findings["group"] == groups[0], "withdrawn"] == 0).sum()),
         by_chance=by_chance,
         rerun=rerun,
-        figure=base64.b64encode(svg.getvalue()).decode("ascii"),
+        figure=base64.b64encode(svg).decode("ascii"),
         facts=facts,
         names={AS_IT_IS: "as the study is", SWAPPED: "UA from somebody else’s game", ALIKE: "people of one style"},
         ua=ua_over(outcomes).to_dict("records"),

@@ -5,13 +5,11 @@ runs of a sweep over conditions) and writes tests.csv, figure6.png, figure6.svg 
 """
 
 import base64
-import io
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
 import pandas as pd
 from hydra.core.hydra_config import HydraConfig
@@ -21,7 +19,7 @@ from airhockey_marl.cli import InputError, command
 from airhockey_marl.files import found_below, replacing, sha256, write_text
 from airhockey_marl.page import template
 from guidance.answers import QUESTIONS, answers
-from guidance.figures import figure6
+from guidance.figures import figure6, save_figure
 from guidance.stats import (
     ALPHA,
     BEYOND,
@@ -66,15 +64,8 @@ def write_report(trials: pd.DataFrame, folder: Path | str, manifest: Mapping[str
     tests = run_tests(trials)
     with replacing(folder / "tests.csv") as path:
         tests.to_csv(path, index=False)
-    # no date and a fixed salt: the same trials give the same bytes
-    with matplotlib.rc_context({"svg.hashsalt": "figure6", "font.family": "DejaVu Sans"}):
-        figure, svg = figure6(trials, _withdrawn(manifest)), io.BytesIO()
-        with replacing(folder / "figure6.png") as path:
-            figure.savefig(path, dpi=150)
-        figure.savefig(svg, format="svg", metadata={"Date": None})
-    with replacing(folder / "figure6.svg") as path:
-        path.write_bytes(svg.getvalue())
-    write_text(folder / "report.html", _page(trials, tests, svg.getvalue(), manifest))
+    svg = save_figure(lambda: figure6(trials, _withdrawn(manifest)), folder, "figure6", dpi=150)
+    write_text(folder / "report.html", _page(trials, tests, svg, manifest))
     return tests
 
 

@@ -8,7 +8,6 @@ from scipy import stats as scipy_stats
 from guidance import replicate
 from guidance.figures import robustness_map
 from guidance.robustness import findings_over, leans_on, outcomes_of, scores_of, ua_over, wrong_over
-from guidance.stats import METRICS
 from tests.test_cli import smoke, start
 from tests.test_report import synthetic_trials
 
@@ -67,7 +66,7 @@ def test_the_assumption_that_matters_is_found(outcomes):
 
 def test_the_map_has_a_cell_per_finding_and_group(outcomes):
     both = pd.concat([outcomes, outcomes.assign(group="h")])
-    cells, effects = robustness_map(findings_over(both), METRICS).axes
+    cells, effects = robustness_map(findings_over(both)).axes
     assert cells.images[0].get_array().shape == (38, 2)
     assert len(effects.lines[1].get_xdata()) == 38
 

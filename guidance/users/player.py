@@ -257,89 +257,6 @@ def _perceived_force(person, felt, row, out):
         out[0] = out[1] = 0.0
 
 
-@njit(cache=True)
-def _live(
-    index,
-    people,
-    minds,
-    arms,
-    tallies,
-    seen,
-    felt,
-    off,
-    partner,
-    trail,
-    mentors,
-    state,
-    force,
-    variant,
-    table,
-    rng,
-    action,
-):
-    """One tick of one person, see `play`."""
-    tick = table.tick
-    dt = tick / SUBSTEPS
-    ring = seen.shape[1]
-    path, worth, now = np.empty((LOOK_AHEAD, 4)), np.empty(INTENTIONS), np.empty(2)
-    person, mind, tally = people[index], minds[index], tallies[index]
-    arm, shadow, arm_model, shadow_model = arms[index, 0], arms[index, 1], arms[index, 2], arms[index, 3]
-    age = mind.age
-    row = age % ring
-    seen[index, row] = state[index]
-    felt[index, row] = force[index]
-
-    felt_late = max(age - _ticks(person.proprioceptive_delay, tick), 0) % ring
-    unexpected(arm, arm_model, off[index, row, 0])
-    unexpected(shadow, shadow_model, off[index, row, 1])
-    sense(arm, arm_model, off[index, felt_late, 0])
-    sense(shadow, shadow_model, off[index, felt_late, 1])
-
-    touched = age - _ticks(person.touch_delay, tick)
-    now[:] = 0.0
-    if touched >= 0:
-        _perceived_force(person, felt[index], touched % ring, now)
-    looked = age - _ticks(person.sight_delay, tick)
-    if looked >= 0:
-        percept = seen[index, looked % ring]
-        before = seen[index, max(looked - 1, 0) % ring]
-        if looked == 0:
-            mind.plan_left = 0.0
-        think(person, mind, arms[index], percept, before, now, variant, mentors, table, path, worth, rng, index)
-
-    answer(person, mind, arm.hand_x, arm.hand_y, now[0], now[1], variant, tick)
-    stiffness = stiffness_now(person, mind)
-    for _ in range(SUBSTEPS):
-        draw_motor_noise(person, mind, dt, rng, index)
-        noise = (mind.noise_along, mind.noise_across, mind.tremor_x, mind.tremor_y)
-        push_x, push_y = mind.push_x, mind.push_y
-        move_arm(arm, person, noise, stiffness, push_x, push_y, force[index, 0], force[index, 1], dt)
-        move_arm(shadow, person, noise, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
-        move_arm(arm_model, person, STEADY, stiffness, push_x, push_y, 0.0, 0.0, dt)
-        move_arm(shadow_model, person, STEADY, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
-
-    trail[index, row, 0], trail[index, row, 1] = arm.hand_x, arm.hand_y
-    trail[index, row, 2], trail[index, row, 3] = shadow.hand_x, shadow.hand_y
-    partner[index, row, 0] = arm.hand_x + now[0] / person.believed_stiffness
-    partner[index, row, 1] = arm.hand_y + now[1] / person.believed_stiffness
-    meant = age - _ticks(person.believed_ahead, tick)
-    if meant >= 0 and variant == Variant.V2:
-        old = meant % ring
-        believed = touched - _ticks(person.believed_ahead, tick)
-        if (
-            believed >= 0
-            and hypot(felt[index, believed % ring, 0], felt[index, believed % ring, 1]) >= person.felt_from
-        ):
-            learn_trust(person, mind, partner[index, old, 0], partner[index, old, 1], arm.hand_x, arm.hand_y, tick)
-    last = felt[index, (age - 1) % ring] if age > 0 else felt[index, row]
-    tally_force(tally, person, mind, arm, shadow, now, force[index], last, tick)
-    if age >= _ticks(person.hindsight_after, tick):
-        tally_hindsight(tally, mind, trail[index, (age - _ticks(person.hindsight_after, tick)) % ring])
-    mind.age = age + 1
-    action[index, 0] = clamp(arm.hand_x / HAND_REACH, -1.0, 1.0)
-    action[index, 1] = clamp(arm.hand_y / HAND_REACH, -1.0, 1.0)
-
-
 @njit(cache=True, nogil=True)
 def play(
     rows,
@@ -376,23 +293,64 @@ def play(
         rng: (n,) uint64, the people's streams.
         action: (n, 2) is written: the hand's position over its reach.
     """
+    tick = table.tick
+    dt = tick / SUBSTEPS
+    ring = seen.shape[1]
+    path, worth, now = np.empty((LOOK_AHEAD, 4)), np.empty(INTENTIONS), np.empty(2)
     for index in rows:
-        _live(
-            index,
-            people,
-            minds,
-            arms,
-            tallies,
-            seen,
-            felt,
-            off,
-            partner,
-            trail,
-            mentors,
-            state,
-            force,
-            variant,
-            table,
-            rng,
-            action,
-        )
+        person, mind, tally = people[index], minds[index], tallies[index]
+        arm, shadow, arm_model, shadow_model = arms[index, 0], arms[index, 1], arms[index, 2], arms[index, 3]
+        age = mind.age
+        row = age % ring
+        seen[index, row] = state[index]
+        felt[index, row] = force[index]
+
+        felt_late = max(age - _ticks(person.proprioceptive_delay, tick), 0) % ring
+        unexpected(arm, arm_model, off[index, row, 0])
+        unexpected(shadow, shadow_model, off[index, row, 1])
+        sense(arm, arm_model, off[index, felt_late, 0])
+        sense(shadow, shadow_model, off[index, felt_late, 1])
+
+        touched = age - _ticks(person.touch_delay, tick)
+        now[:] = 0.0
+        if touched >= 0:
+            _perceived_force(person, felt[index], touched % ring, now)
+        looked = age - _ticks(person.sight_delay, tick)
+        if looked >= 0:
+            percept = seen[index, looked % ring]
+            before = seen[index, max(looked - 1, 0) % ring]
+            if looked == 0:
+                mind.plan_left = 0.0
+            think(person, mind, arms[index], percept, before, now, variant, mentors, table, path, worth, rng, index)
+
+        answer(person, mind, arm.hand_x, arm.hand_y, now[0], now[1], variant, tick)
+        stiffness = stiffness_now(person, mind)
+        for _ in range(SUBSTEPS):
+            draw_motor_noise(person, mind, dt, rng, index)
+            noise = (mind.noise_along, mind.noise_across, mind.tremor_x, mind.tremor_y)
+            push_x, push_y = mind.push_x, mind.push_y
+            move_arm(arm, person, noise, stiffness, push_x, push_y, force[index, 0], force[index, 1], dt)
+            move_arm(shadow, person, noise, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
+            move_arm(arm_model, person, STEADY, stiffness, push_x, push_y, 0.0, 0.0, dt)
+            move_arm(shadow_model, person, STEADY, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
+
+        trail[index, row, 0], trail[index, row, 1] = arm.hand_x, arm.hand_y
+        trail[index, row, 2], trail[index, row, 3] = shadow.hand_x, shadow.hand_y
+        partner[index, row, 0] = arm.hand_x + now[0] / person.believed_stiffness
+        partner[index, row, 1] = arm.hand_y + now[1] / person.believed_stiffness
+        meant = age - _ticks(person.believed_ahead, tick)
+        if meant >= 0 and variant == Variant.V2:
+            old = meant % ring
+            believed = touched - _ticks(person.believed_ahead, tick)
+            if (
+                believed >= 0
+                and hypot(felt[index, believed % ring, 0], felt[index, believed % ring, 1]) >= person.felt_from
+            ):
+                learn_trust(person, mind, partner[index, old, 0], partner[index, old, 1], arm.hand_x, arm.hand_y, tick)
+        last = felt[index, (age - 1) % ring] if age > 0 else felt[index, row]
+        tally_force(tally, person, mind, arm, shadow, now, force[index], last, tick)
+        if age >= _ticks(person.hindsight_after, tick):
+            tally_hindsight(tally, mind, trail[index, (age - _ticks(person.hindsight_after, tick)) % ring])
+        mind.age = age + 1
+        action[index, 0] = clamp(arm.hand_x / HAND_REACH, -1.0, 1.0)
+        action[index, 1] = clamp(arm.hand_y / HAND_REACH, -1.0, 1.0)
