@@ -6,9 +6,8 @@ import numpy as np
 import torch
 
 from airhockey_marl.match import Player
-from airhockey_marl.table import LEFT, RIGHT, Table
-from airhockey_marl.tables import Tables
-from guidance.games import streams
+from airhockey_marl.table import Table
+from guidance.games import Rink, streams
 from guidance.user_model import Demonstrations
 from guidance.users import Mentors, Users
 
@@ -43,22 +42,16 @@ def collect(
     def game_streams(purpose: int) -> np.ndarray:
         return np.stack([streams(seed, range(users), game, purpose) for game in range(games)], axis=1).ravel()
 
-    tables = Tables(n, table)
-    tables.rng[:] = game_streams(3)
-    tables.new_rounds()
     players = Users(np.repeat(people, games), game_streams(2), table, variant, mentors)
+    rink = Rink(players, opponent, table, game_streams(3))
+    rink.new_games()
     observation, action = np.empty((ticks, n, 12), dtype=np.float32), np.empty((ticks, n, 2), dtype=np.float32)
-    seen, actions, no_force = np.empty((n, 12)), np.zeros((n, 2, 2)), np.zeros((n, 2))
-    seen_by_opponent = np.empty((n, 12), dtype=np.float32)
     for tick in range(ticks):
-        observation[tick] = tables.observe(LEFT, seen)
-        action[tick] = actions[:, LEFT] = players.step(seen, no_force)
-        actions[:, RIGHT] = opponent(torch.from_numpy(tables.observe(RIGHT, seen_by_opponent))).numpy()
-        tables.step(actions)
-        scored = tables.goals != 0
+        played = rink.tick()
+        observation[tick], action[tick] = played.state, played.action
+        scored = played.goals != 0
         if scored.any():
-            tables.new_rounds(scored)
-            players.new_round(scored)
+            rink.new_rounds(scored)
         if tick % 100 == 99:
             progress((tick + 1) / ticks)
 

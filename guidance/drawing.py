@@ -1,6 +1,7 @@
 """What goes on while a person plays under a guidance, as pictures: a moment, a film of many, a sheet of six.
 
-They are drawn from a table of ticks, see `guidance.watch.play`, and from nothing else.
+They are drawn from a table of ticks, see `guidance.ticks`, and from nothing else. Where the person is a simulated one,
+it also says where they want the hand (wanted_x, wanted_y, in m of the hand) and their intention.
 """
 
 from collections.abc import Callable, Iterator
@@ -55,6 +56,7 @@ class Scene:
         used: the keys of `TARGETS` from which the condition's force comes.
         adapted: the predicted action is that of a model adapted to this person.
         width: pixels of a picture of the film.
+        simulated: the person is a simulated one, whose wishes are known.
     """
 
     table: Table
@@ -64,6 +66,7 @@ class Scene:
     used: frozenset[str]
     adapted: bool
     width: int
+    simulated: bool = True
 
 
 class Marks:
@@ -128,11 +131,6 @@ def _pair(now: pd.Series, name: str) -> np.ndarray:
     return np.array([now[f"{name}_x"], now[f"{name}_y"]], dtype=float)
 
 
-def _scored(ticks: pd.DataFrame | pd.Series) -> pd.Series | bool:
-    """Whether a tick ended its round."""
-    return ticks["won"] + ticks["lost"] == ticks["round"]
-
-
 def draw_play(ticks: pd.DataFrame, index: int, scene: Scene, width: int) -> Image.Image:
     """The table at one tick with all that is wanted, proposed and pushed, `width` pixels wide."""
     now, view = ticks.iloc[index], View(scene.table, width)
@@ -147,14 +145,19 @@ def draw_play(ticks: pd.DataFrame, index: int, scene: Scene, width: int) -> Imag
         radii = half * _pair(now, f"{model}_std") * view.scale
         marks.ellipse(at, *radii, _colour(model, scene), model in scene.used)
     paddle = view.pixel(*_pair(now, "own"))
-    wanted = view.pixel(*middle + half * _pair(now, "wanted") / HAND_REACH)
-    marks.line([paddle, wanted], WANTED, 2)
-    draw_bodies(marks.pen, view, np.stack([_pair(now, body) for body in ("own", "other", "puck")]))
+    if scene.simulated:
+        wanted = view.pixel(*middle + half * _pair(now, "wanted") / HAND_REACH)
+        marks.line([paddle, wanted], WANTED, 2)
+    bodies = np.stack([_pair(now, body) for body in ("own", "other", "puck")])
+    if now["goal"]:  # a row shows the beginning of its tick, and the goal is at the end
+        bodies[PUCK] += scene.table.tick * np.array([now["puck_vx"], now["puck_vy"]])
+    draw_bodies(marks.pen, view, bodies)
     edge = 10 * marks.unit  # a model may want more than the table has; its mark stays in the picture
     for model, at in targets.items():
         inside = np.clip(at, edge, np.array(view.size) - edge)
         marks.target(tuple(inside), model, _colour(model, scene))
-    marks.cross(wanted)
+    if scene.simulated:
+        marks.cross(wanted)
     marks.arrow(paddle, _pair(now, "force"))
     return image.reduce(SMOOTHING)
 
@@ -199,7 +202,7 @@ def save_film(
     progress: Callable[[float], None] = lambda share: None,
 ) -> None:
     """Write an animated GIF: a picture for every `every` ticks, shown for so long, and one that stays for each goal."""
-    scored = _scored(ticks).to_numpy()
+    scored = ticks["goal"].to_numpy() != 0
     shown = np.flatnonzero((np.arange(len(ticks)) % every == every - 1) | scored)
     palette = _palette()
 
@@ -248,8 +251,8 @@ def _draw_standing(now: pd.Series, title: str, width: int, size: int) -> Image.I
     write((middle + size, line), f"{now['lost']}", COLOURS[RIGHT], bold, anchor="lm")
     write((width - size, line), f"{now['time_s']:.2f} s", INK, bold, anchor="rm")
     line += row
-    wish = f"wants to {WISHES.get(now['intention'], now['intention'].lower())}"
-    write((size, line), "goal!" if _scored(now) else wish, INK, plain, anchor="lm")
+    wish = f"wants to {WISHES[now['intention']]}" if "intention" in now else ""
+    write((size, line), "goal!" if now["goal"] else wish, INK, plain, anchor="lm")
     write((width - size, line), f"force {hypot(*_pair(now, 'force')):.1f} N", FORCE, _font(size, True), anchor="rm")
     line += row
     taken = sum(plain.getlength(f"{text} 0.00") + 2 * size for text in weights)
@@ -284,7 +287,7 @@ def _draw_legend(scene: Scene, width: int, size: int, scale: float) -> Image.Ima
         (scene.player, lambda at: paddle(at, LEFT)),
         (scene.opponent, lambda at: paddle(at, RIGHT)),
         ("puck, its last 0.3 s", puck),
-        ("where the person wants to be", marks.cross),
+        *[("where the person wants to be", marks.cross)] * scene.simulated,
         ("force on the hand, here 1 N", lambda at: marks.arrow((at[0] - ARROW * scale / 2, at[1]), np.array([1.0, 0]))),
         ("ellipse: ± 1 STD of a target", lambda at: marks.ellipse(at, 14 * unit, 8 * unit, RIM, True)),
     ]

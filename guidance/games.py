@@ -6,6 +6,7 @@ does not change a bit of it, and one that is over costs nothing more.
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 from typing import Protocol as Interface
 
 import numpy as np
@@ -30,6 +31,77 @@ class Participants(Interface):
     def new_game(self, which: np.ndarray) -> None: ...
 
     def step(self, state: np.ndarray, force: np.ndarray, rows: np.ndarray) -> np.ndarray: ...
+
+
+Forces = Callable[[np.ndarray, np.ndarray, np.ndarray], Guided]
+"""States (n, 12), actions (n, 2) and k games -> their forces and weights."""
+
+
+def no_force(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> Guided:
+    """NHG for everyone."""
+    return Guided(torch.zeros(len(games), 2, dtype=torch.float64))
+
+
+class Tick(NamedTuple):
+    """What one tick of n games was; its arrays are written anew by the next one.
+
+    Attributes:
+        games: (k,) those that were played.
+        state: (n, 12) what the participants saw at its beginning, as `tables.observe` writes it.
+        before, action: (n, 2) where the hand was at its beginning and at its end, over its reach.
+        guided: the forces (k, 2) of the games that were played, and their weights.
+        goals: (n,) +1 the participant scored, -1 the opponent.
+    """
+
+    games: np.ndarray
+    state: np.ndarray
+    before: np.ndarray
+    action: np.ndarray
+    guided: Guided
+    goals: np.ndarray
+
+
+class Rink:
+    """n tables with a participant at each left seat and one opponent at all the right ones.
+
+    Args:
+        serves: (n,) uint64, the tables' random numbers.
+
+    Attributes:
+        force: (n, 2) N, what each hand felt last.
+    """
+
+    def __init__(self, participants: Participants, opponent: Player, table: Table, serves: np.ndarray) -> None:
+        n = len(serves)
+        self.participants, self.opponent, self.tables = participants, opponent, Tables(n, table)
+        self.tables.rng[:] = serves
+        self.everyone, self._all = np.ones(n, dtype=bool), np.arange(n)
+        self._seen, self._seen_by_opponent = np.empty((n, 12)), np.empty((n, 12), dtype=np.float32)
+        self.force, self._actions = np.zeros((n, 2)), np.zeros((n, 2, 2))
+
+    def new_games(self) -> None:
+        """Begin everybody's game."""
+        self.tables.new_rounds()
+        self.participants.new_game(self.everyone)
+
+    def new_rounds(self, which: np.ndarray) -> None:
+        """Begin a round at the tables of a mask (n,)."""
+        self.tables.new_rounds(which)
+        self.participants.new_round(which)
+
+    def tick(self, forces: Forces = no_force, games: np.ndarray | None = None) -> Tick:
+        """Play one tick at the tables `games` (k,), at all of them if None."""
+        games = self._all if games is None else games
+        tables, actions = self.tables, self._actions
+        tables.observe(LEFT, self._seen)
+        before = self.participants.action.copy()
+        guided = forces(self._seen, before, games)
+        self.force[games] = guided.force.numpy()
+        actions[:, LEFT] = self.participants.step(self._seen, self.force, games)
+        tables.observe(RIGHT, self._seen_by_opponent)
+        actions[games, RIGHT] = self.opponent(torch.from_numpy(self._seen_by_opponent[games])).numpy()
+        tables.step(actions, rows=games)
+        return Tick(games, self._seen, before, actions[:, LEFT], guided, tables.goals)
 
 
 @dataclass(frozen=True)
@@ -120,15 +192,6 @@ class Games:
     demonstrations: list[tuple[Tensor, Tensor]]
 
 
-Forces = Callable[[np.ndarray, np.ndarray, np.ndarray], Guided]
-"""States (n, 12), actions (n, 2) and k games -> their forces and weights."""
-
-
-def no_force(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> Guided:
-    """NHG for everyone."""
-    return Guided(torch.zeros(len(games), 2, dtype=torch.float64))
-
-
 def streams(seed: int, users: Sequence[int], condition: int, purpose: int) -> np.ndarray:
     """(users,) uint64: a stream for each user's game in a condition; purpose 0 is the person, 1 the table."""
     keys = [np.random.SeedSequence([seed, user, condition, purpose]) for user in users]
@@ -142,56 +205,45 @@ def play_games(
     forces: Forces,
     protocol: Protocol,
     table: Table,
-    table_streams: np.ndarray,
+    serves: np.ndarray,
     keep_demonstrations: bool = False,
     progress: Callable[[float], None] = lambda share: None,
+    watching: Callable[[Tick, bool, np.ndarray], None] = lambda tick, scored, ended: None,
 ) -> Games:
     """Play one game at each of n tables; participants sit at the left seat.
 
     Args:
         opponent: plays the right seat of all tables.
         forces: the guidance of each game.
-        table_streams: (n,) uint64, the serves' random numbers.
+        serves: (n,) uint64, the tables' random numbers.
         keep_demonstrations: keep what was seen and done in scored play.
         progress: is told the share of the rounds that are over.
+        watching: is shown every tick, whether it is scored, and the mask (n,) of the rounds that end with it.
     """
-    n = len(table_streams)
-    tables, schedule, everyone = Tables(n, table), Schedule(n, protocol, table.tick), np.ones(n, dtype=bool)
-    tables.rng[:] = table_streams
-    tables.new_rounds()
-    participants.new_game(everyone)
-
+    n = len(serves)
+    rink, schedule = Rink(participants, opponent, table, serves), Schedule(n, protocol, table.tick)
+    rink.new_games()
     sheets, weights = new_sheets(n), {name: Moments(n) for name in Guided._fields[1:]}
-    seen, seen_by_opponent = np.empty((n, 12)), np.empty((n, 12), dtype=np.float32)
-    force, actions = np.zeros((n, 2)), np.zeros((n, 2, 2))
     trail: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     while len(games := schedule.playing):
         if schedule.begins():
-            tables.new_rounds()
-            participants.new_game(everyone)
-        tables.observe(LEFT, seen)
-        before, puck_before = participants.action.copy(), tables.bodies[:, PUCK].copy()
-        guided = forces(seen, before, games)
-        force[games] = guided.force.numpy()
-        actions[:, LEFT] = participants.step(seen, force, games)
-        tables.observe(RIGHT, seen_by_opponent)
-        actions[games, RIGHT] = opponent(torch.from_numpy(seen_by_opponent[games])).numpy()
-        tables.step(actions, rows=games)
-
+            rink.new_games()
+        puck_before = rink.tables.bodies[:, PUCK].copy()
+        tick = rink.tick(forces, games)
         if schedule.scored:
-            puck, moved = tables.bodies[:, PUCK], actions[:, LEFT] - before
-            how = tables.touched, tables.served, tables.goals
-            record(sheets, games, puck_before, puck, *how, disagreement(force, moved), table)
+            how = rink.tables.touched, rink.tables.served, tick.goals
+            disagreed = disagreement(rink.force, tick.action - tick.before)
+            record(sheets, games, puck_before, rink.tables.bodies[:, PUCK], *how, disagreed, table)
             for name, moments in weights.items():
-                if getattr(guided, name) is not None:
-                    moments.add(games, getattr(guided, name).numpy())
+                if getattr(tick.guided, name) is not None:
+                    moments.add(games, getattr(tick.guided, name).numpy())
             if keep_demonstrations:
-                trail.append((games, seen[games].astype(np.float32), actions[games, LEFT].astype(np.float32)))
-        ended = schedule.tick(tables.goals)
+                trail.append((games, tick.state[games].astype(np.float32), tick.action[games].astype(np.float32)))
+        scored, ended = schedule.scored, schedule.tick(tick.goals)
+        watching(tick, scored, ended)
         if ended.any():
-            tables.new_rounds(ended)
-            participants.new_round(ended)
+            rink.new_rounds(ended)
             progress(float(np.minimum(schedule.rounds / protocol.rounds, 1).mean()))
 
     summaries = {name: moments.result() for name, moments in weights.items()}

@@ -8,8 +8,7 @@
 Writes into its run folder: watch.gif, watch.png (six of its moments) and watch.csv (a row per tick).
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from string import ascii_lowercase
@@ -21,43 +20,25 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from tensordict import TensorDict
-from torch import Tensor
 
 from airhockey_marl.cli import InputError, ProgressBar, choices, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import replacing
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
 from airhockey_marl.match import Player
-from airhockey_marl.table import LEFT, PUCK, RIGHT, Table
-from airhockey_marl.tables import Tables
-from guidance.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidance, Guided, Target
+from airhockey_marl.table import Table
+from guidance.conditions import ADAPTED, OPTIMAL, Condition
 from guidance.drawing import NARROWEST, Scene, draw_sheet, save_film
-from guidance.games import Protocol, no_force, play_games, streams
-from guidance.guide import Guide
+from guidance.games import Protocol, Rink, no_force, play_games, streams
 from guidance.models import Models
 from guidance.study import NO_CONDITION
+from guidance.ticks import TickLog, overheard_guide
 from guidance.users import Population, Users, load_mentors, sample_people
 from guidance.users.intention import Intention
 from guidance.users.reaction import check_variant
 
 LONGEST = 60  # s: all pictures of a film are in memory together
 MOST_SKILL = 4.0  # standard deviations
-
-
-@dataclass
-class Overheard:
-    """A guidance whose targets can be looked at: it keeps the last ones, and asks models that it may not need."""
-
-    guidance: Guidance
-    asked: frozenset[str]
-    targets: Mapping[str, Target] = field(default_factory=dict)
-
-    def models(self) -> frozenset[str]:
-        return self.guidance.models() | self.asked
-
-    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
-        self.targets = targets
-        return self.guidance(action, targets)
 
 
 @command("watch")
@@ -165,47 +146,20 @@ def play(
         serves: (1,) uint64, the table's random numbers.
 
     Returns:
-        A row per tick. At its end: time_s; round, and the rounds won and lost so far; own, other and puck (each _x, _y)
-        in m of the table; hand and wanted, where the person wants it, in m of the hand; intention. During it: force
-        in N; optimal and predicted, each with its _std, in units of action, for the state at its beginning, looked
-        ahead; w_unc_optimal, w_unc_predicted and w_sim, not a number where the condition has none.
+        A row per tick, see `guidance.ticks.COLUMNS`, and of the person where they want the hand (wanted_x and _y, in
+        m of the hand) and their intention.
     """
-    overheard = Overheard(condition.guidance, frozenset({OPTIMAL, USER if adapted is None else ADAPTED}))
-    guide = Guide([replace(condition, guidance=overheard)], 1, models, adapted, lookahead_seconds)
-    tables, everyone = Tables(1, table), np.ones(1, dtype=bool)
-    tables.rng[:] = serves
-    tables.new_rounds()
-    seen, seen_by_opponent, actions = np.empty((1, 12)), np.empty((1, 12), dtype=np.float32), np.zeros((1, 2, 2))
-    won, lost, rows = 0, 0, []
-    for tick in range(max(1, round(seconds / table.tick))):
-        guided = guide(tables.observe(LEFT, seen), users.action.copy())
-        actions[:, LEFT] = users.step(seen, guided.force.numpy())
-        actions[:, RIGHT] = opponent(torch.from_numpy(tables.observe(RIGHT, seen_by_opponent))).numpy()
-        tables.step(actions)
-        row = {"time_s": (tick + 1) * table.tick, "round": 1 + won + lost}
-        won, lost = won + int(tables.goals[0] > 0), lost + int(tables.goals[0] < 0)
-        row |= {"won": won, "lost": lost, "intention": Intention(users.intention[0]).name}
-        rows.append(row | _measures(tables, users, guided, overheard.targets))
-        if tables.goals[0]:
-            tables.new_rounds()
-            users.new_round(everyone)
-    return pd.DataFrame(rows)
-
-
-def _measures(tables: Tables, users: Users, guided: Guided, targets: Mapping[str, Target]) -> dict[str, float]:
-    pairs = {name: tables.bodies[0, body, :2] for name, body in (("own", LEFT), ("other", RIGHT), ("puck", PUCK))}
-    pairs |= {"hand": users.hand[0], "wanted": users.goal[0], "force": guided.force[0]}
-    for name, target in (("optimal", targets[OPTIMAL]), ("predicted", targets.get(ADAPTED) or targets[USER])):
-        pairs |= {name: target.mean[0], f"{name}_std": target.std[0]}
-    weights = zip(("w_unc_optimal", "w_unc_predicted", "w_sim"), guided[1:], strict=True)
-    return {
-        **{
-            f"{name}_{axis}": float(value)
-            for name, pair in pairs.items()
-            for axis, value in zip("xy", pair, strict=True)
-        },
-        **{name: float(weight[0]) for name, weight in weights},
-    }
+    guide, overheard = overheard_guide(condition, models, adapted, lookahead_seconds)
+    rink, log = Rink(users, opponent, table, serves), TickLog(overheard, table.tick)
+    rink.new_games()
+    for _ in range(max(1, round(seconds / table.tick))):
+        (wanted_x, wanted_y), intention = users.goal[0], Intention(users.intention[0]).name
+        tick = rink.tick(guide)
+        scored = tick.goals != 0
+        log(tick, True, scored[0]).update(wanted_x=wanted_x, wanted_y=wanted_y, intention=intention)
+        if scored[0]:
+            rink.new_rounds(scored)
+    return pd.DataFrame(log.rows)
 
 
 if __name__ == "__main__":

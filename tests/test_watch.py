@@ -21,6 +21,7 @@ from guidance.drawing import ARROW, NARROWEST, PAPER, TARGETS, Scene, draw_momen
 from guidance.forces import uncertainty_weight
 from guidance.games import Protocol, play_games, streams
 from guidance.models import Models
+from guidance.ticks import ACTION, STATE
 from guidance.users import Users, sample_people
 from guidance.users.arm import HAND_REACH
 
@@ -63,7 +64,8 @@ def still(**values: float) -> pd.DataFrame:
     middle = {"own_x": -0.487, "other_x": 0.487, "optimal_y": 0.9, "predicted_y": -0.9}
     names = ("own", "other", "puck", "wanted", "force", *TARGETS, *(f"{model}_std" for model in TARGETS))
     row = {f"{name}_{axis}": 0.0 for name in names for axis in "xy"} | middle
-    row |= {"round": 1, "won": 0, "lost": 0, "time_s": 0.02, "intention": "WAIT"}
+    row |= {"round": 1, "won": 0, "lost": 0, "goal": 0, "time_s": 0.02, "intention": "WAIT"}
+    row |= {"puck_vx": 0.0, "puck_vy": 0.0}
     row |= dict.fromkeys(("w_unc_optimal", "w_unc_predicted", "w_sim"), float("nan"))
     return pd.DataFrame([row | values])
 
@@ -91,7 +93,7 @@ def test_a_run_with_adaptation_leaves_film_sheet_and_log(monkeypatch, tmp_path):
     assert ((weights >= 0) & (weights <= 1)).all(axis=None) and weights["w_unc_predicted"].nunique() > 10
     with Image.open(tmp_path / "watch.gif") as film, Image.open(tmp_path / "watch.png") as sheet:
         lengths = durations(film)
-        goal = (ticks["won"] + ticks["lost"] == ticks["round"]).to_numpy()
+        goal = ticks["goal"].to_numpy() != 0
         assert film.width == 800 and sheet.width == 1200 and sheet.height > 900
         # equal pictures are one that is shown for longer
         assert sum(lengths) == 200 * (~goal[4::5]).sum() + 800 * goal.sum()
@@ -121,20 +123,19 @@ def test_the_log_is_the_game_of_the_study(models):
 
     users = Users(sample_people(1, 3), streams(3, [0], 0, 0), TABLE)
     play_games(users, absent, forces, Protocol(40, 1, 0, 0, 60), TABLE, streams(3, [0], 0, 1))
-    ticks, seen = play(models, NHG, 40, absent)[:-1], np.array(states)[1:2000]  # the end of a tick, and of the next one
-    begun = ticks["round"].diff().shift(-1).to_numpy() != 0  # the beginning, where a goal was between the two
-    columns = [f"{name}_{axis}" for name in ("own", "other", "puck", "hand") for axis in "xy"]
-    assert np.allclose(ticks.loc[~begun, columns], seen[~begun][:, [0, 1, 4, 5, 8, 9, 12, 13]], atol=1e-12)
-    goals = ticks[["won", "lost"]].iloc[-1].sum()
-    assert goals > 0 and begun.sum() < 20
+    ticks, seen = play(models, NHG, 40, absent), np.array(states)[:2000]
+    assert np.array_equal(ticks[[*STATE, "hand_x", "hand_y"]], seen)
+    acted = ticks["goal"] == 0  # with a new round the hand is back at the centre
+    assert np.array_equal(HAND_REACH * ticks.loc[acted, ACTION].to_numpy()[:-1], seen[1:, 12:][acted[:-1]])
+    assert 0 < ticks[["won", "lost"]].iloc[-1].sum() == ticks["goal"].abs().sum() == ticks["round"].iloc[-1] - 1
 
 
 def test_the_force_in_the_log_follows_from_hand_and_target_in_the_log(models):
     ticks = play(models, OAHG)
     pairs = {name: torch.tensor(ticks[[f"{name}_x", f"{name}_y"]].to_numpy()) for name in ("hand", "optimal", "force")}
     assert ticks["round"].iloc[-1] == 1
-    expected = SPRING.force(pairs["hand"][:-1] / HAND_REACH, pairs["optimal"][1:])
-    assert torch.allclose(pairs["force"][1:], expected, atol=1e-5) and pairs["force"].abs().max() > 0.1
+    expected = SPRING.force(pairs["hand"] / HAND_REACH, pairs["optimal"])
+    assert torch.allclose(pairs["force"], expected, atol=1e-5) and pairs["force"].abs().max() > 0.1
     assert (ticks["hand_x"] - play(models, NHG)["hand_x"]).abs().max() > 0.001  # and it was felt
 
 
@@ -207,8 +208,8 @@ def test_every_text_fits(width):
 def two_goals() -> pd.DataFrame:
     """200 ticks: the other scores in tick 50, the person in tick 150."""
     ticks = pd.concat([still()] * 200, ignore_index=True)
-    ticks.loc[50:, "lost"], ticks.loc[51:, "round"] = 1, 2
-    ticks.loc[150:, "won"], ticks.loc[151:, "round"] = 1, 3
+    ticks.loc[50:, "lost"], ticks.loc[51:, "round"], ticks.loc[50, "goal"] = 1, 2, -1
+    ticks.loc[150:, "won"], ticks.loc[151:, "round"], ticks.loc[150, "goal"] = 1, 3, 1
     return ticks
 
 
