@@ -1,0 +1,44 @@
+"""How well the servo keeps its time, alone and beside a busy process."""
+
+import subprocess
+import sys
+import time
+from dataclasses import asdict
+
+from guidance.safety import Limits
+from guidance.servo import SERVO_HZ, Servo
+
+TICK = 0.02  # s between two forces
+
+
+def servo_jitter(seconds: float = 5.0, busy: bool = True) -> dict[str, float]:
+    """Run the 1 kHz servo on a device that does nothing, fed at 50 Hz.
+
+    Args:
+        seconds: of measurement.
+        busy: another process keeps one core busy meanwhile.
+
+    Returns:
+        period_p50_us, period_p99_us, period_longest_us, steps, late_share and lost_share (steps that did not come).
+    """
+    spinning = subprocess.Popen([sys.executable, "-c", "while True: pass"]) if busy else None
+    servo = Servo(("tests.fake_device", "Still", {}), Limits())
+    try:
+        began = time.perf_counter()
+        while time.perf_counter() - began < seconds:
+            servo.push((1.0, 0.5))
+            time.sleep(TICK)
+        timing, passed = asdict(servo.timing()), time.perf_counter() - began
+    finally:
+        servo.close()
+        if spinning is not None:
+            spinning.kill()
+            spinning.wait()
+    micro = {f"period_{name}_us": round(1e6 * timing[name]) for name in ("p50", "p99", "longest")}
+    lost = max(1 - timing["steps"] / (passed * SERVO_HZ), 0.0)
+    return {
+        **micro,
+        "steps": timing["steps"],
+        "late_share": round(timing["late"] / max(timing["steps"], 1), 5),
+        "lost_share": round(lost, 5),
+    }
