@@ -44,36 +44,39 @@ CONTRASTS = {
 }
 
 
-def answers(pairs: pd.DataFrame) -> dict[str, list[str]]:
+def answers(pairs: pd.DataFrame, people: bool = False) -> dict[str, list[str]]:
     """Answer RQ1-RQ4, a sentence per contrast.
 
     Args:
         pairs: `metric`, `x`, `y` (letters), `greater` (the letter with the significantly larger mean, "" if the
             means do not differ significantly) and `tested` (bool), one row per pair and metric.
+        people: the ratings are people's; without it they are marked as proxies.
 
     Returns:
         question -> sentences, such as "UA in UPHG raises helpfulness (PROXY) and controllability (PROXY).".
     """
-    return {question: [_sentence(contrast, pairs) for contrast in CONTRASTS[question]] for question in QUESTIONS}
+    return {
+        question: [_sentence(contrast, pairs, people) for contrast in CONTRASTS[question]] for question in QUESTIONS
+    }
 
 
-def _sentence(contrast: Contrast, pairs: pd.DataFrame) -> str:
+def _sentence(contrast: Contrast, pairs: pd.DataFrame, people: bool) -> str:
     compared = [set(pair) == {contrast.new, contrast.old} for pair in zip(pairs["x"], pairs["y"], strict=True)]
     chosen = pairs[compared]
     chosen = chosen[chosen["metric"].isin(contrast.metrics) & chosen["tested"]]
     if chosen.empty:
         return f"{contrast.subject} was not tested."
     changes = [
-        f"{verb} {_list(chosen.loc[chosen['greater'] == letter, 'metric'])}"
+        f"{verb} {_list(chosen.loc[chosen['greater'] == letter, 'metric'], people)}"
         for verb, letter in (("raises", contrast.new), ("lowers", contrast.old))
         if (chosen["greater"] == letter).any()
     ]
     return f"{contrast.subject} {' and '.join(changes) or 'changes nothing significantly'}."
 
 
-def _list(metrics: pd.Series) -> str:
+def _list(metrics: pd.Series, people: bool) -> str:
     names = [
-        METRICS[metric].label.lower() + (" (PROXY)" if METRICS[metric].kind == "subjective" else "")
+        METRICS[metric].label.lower() + (" (PROXY)" if METRICS[metric].kind == "subjective" and not people else "")
         for metric in METRICS
         if metric in set(metrics)
     ]

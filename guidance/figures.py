@@ -1,7 +1,7 @@
 """Figures of studies: the paper's Figure 6, and which of its findings hold over many of them."""
 
 import io
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from pathlib import Path
 
 import matplotlib
@@ -18,6 +18,7 @@ from guidance.stats import BEYOND, EVIDENCE, METRICS, Condition, Metric, conditi
 # Okabe and Ito's colours, which people with any kind of colour vision can tell apart
 COLOURS = {"NHG": "#8C8C8C", "OAHG": "#E69F00", "UPHG": "#0072B2", "CombHG": "#009E73", BEYOND: "#CC79A7"}
 SCALE = (1, 7)  # of the ratings
+SIDES = (("#0072B2", "o", -0.16), ("#E69F00", "D", 0.16))  # colour, marker and shift of two groups side by side
 
 
 def save_figure(draw: Callable[[], Figure], folder: Path, name: str, dpi: int) -> bytes:
@@ -43,15 +44,16 @@ def confidence_half_width(scores: pd.DataFrame) -> pd.Series:
     return scores.sem() * stats.t.isf(0.025, (n - 1).where(n > 1))
 
 
-def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = ()) -> Figure:
+def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = (), people: bool = False) -> Figure:
     """Draw the paper's Figure 6 (section 5).
 
     Args:
         trials: one row per participant and condition; any subset of the nine conditions, and others.
         withdrawn: metrics that count for nothing; their panels say so.
+        people: the ratings are people's; without it their panels say that they are proxies.
 
     Returns:
-        Eight panels, the objective metrics above, the proxies of the ratings below; a bar per condition present in
+        Eight panels, the objective metrics above, the ratings or their proxies below; a bar per condition present in
         the colour of its guidance type, with the mean's 95 % confidence interval. A metric that is undefined in a
         condition, as disagreement is without guidance, has a dash in place of its bar.
     """
@@ -65,6 +67,7 @@ def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = ()) -> Figure:
             list(present.values()),
             metric,
             name in withdrawn,
+            people,
         )
     legend = [
         Patch(color=COLOURS[condition.guidance], label=f"({condition.letter}) {condition.label}")
@@ -75,23 +78,29 @@ def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = ()) -> Figure:
     return figure
 
 
-def _draw_bars(axes: Axes, scores: pd.DataFrame, conditions: list[Condition], metric: Metric, withdrawn: bool) -> None:
+def _draw_bars(
+    axes: Axes, scores: pd.DataFrame, conditions: list[Condition], metric: Metric, withdrawn: bool, people: bool
+) -> None:
     """Draw one panel; scores (participants, conditions)."""
     places = np.arange(len(conditions))
     mean, half = scores.mean().to_numpy(), confidence_half_width(scores).to_numpy()
     axes.bar(places, mean, width=0.72, color=[COLOURS[condition.guidance] for condition in conditions])
     drawn = np.isfinite(half)
     axes.errorbar(places[drawn], mean[drawn], half[drawn], fmt="none", ecolor="#222222", elinewidth=1.1, capsize=3)
-    proxy = metric.kind == "subjective"
-    if proxy:
+    rating = metric.kind == "subjective"
+    proxy = rating and not people
+    if rating:
         axes.set_ylim(*SCALE)
-    elif np.isnan(mean).all():
+    elif people:
+        _within_reason(axes, metric)
+    if not rating and np.isnan(mean).all():
         axes.set_yticks([])  # a scale without values would be made up
     for place in places[np.isnan(mean)]:
         axes.annotate("–", (place, 0.03), xycoords=("data", "axes fraction"), ha="center", fontsize=13, color="#666666")
     mark = " (PROXY, withdrawn)" if withdrawn else " (PROXY)" if proxy else ""
     axes.set_title(metric.label + mark, fontsize=11, fontweight="bold")
-    axes.set_ylabel("proxy of the 7-point rating" if proxy else metric.unit, fontsize=9, color="#444444")
+    unit = "proxy of the 7-point rating" if proxy else "7-point rating" if rating else metric.unit
+    axes.set_ylabel(unit, fontsize=9, color="#444444")
     axes.set_xticks(places, [f"({condition.letter})" for condition in conditions])
     middle, half_span = (len(conditions) - 1) / 2, max(len(conditions), 5) / 2  # a lone bar is no wall
     axes.set_xlim(middle - half_span - 0.1, middle + half_span + 0.1)
@@ -100,6 +109,53 @@ def _draw_bars(axes: Axes, scores: pd.DataFrame, conditions: list[Condition], me
     axes.grid(axis="y", color="#E3E3E3", linewidth=0.8)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
+
+
+def _within_reason(axes: Axes, metric: Metric) -> None:
+    """Cut the scale off where the metric cannot be: of two or three people, intervals go there and hide the means."""
+    low, high = axes.get_ylim()
+    axes.set_ylim(max(low, 0.0), min(high, 1.02) if metric.unit.startswith("share") else high)
+
+
+def means_beside(trials: Mapping[str, pd.DataFrame], people: Collection[str]) -> Figure:
+    """Draw two groups side by side.
+
+    Args:
+        trials: of each group by its name, as `figure6` takes them.
+        people: the groups of people; the ratings of others are marked as proxies.
+
+    Returns:
+        Eight panels, one per metric, with each group's mean under each condition and its 95 % confidence interval.
+    """
+    conditions = conditions_of(pd.concat([group[["condition"]] for group in trials.values()]))
+    figure = Figure(figsize=(13.5, 6.2), layout="constrained")
+    panels = list(figure.subplots(2, 4).flat)
+    proxies = " and ".join(name for name in trials if name not in people)
+    for axes, (metric, about) in zip(panels, METRICS.items(), strict=True):
+        for (name, group), (colour, marker, shift) in zip(trials.items(), SIDES, strict=True):
+            scores = group.pivot(index="user", columns="condition", values=metric).reindex(columns=list(conditions))
+            mean, half = scores.mean().to_numpy(float), confidence_half_width(scores).to_numpy(float)
+            places, drawn = np.arange(len(conditions)) + shift, np.isfinite(half)
+            axes.plot(places, mean, marker, color=colour, markersize=5.5, label=f"{name} (n = {len(scores)})")
+            axes.errorbar(places[drawn], mean[drawn], half[drawn], fmt="none", ecolor=colour, elinewidth=1.2, capsize=2)
+        rating = about.kind == "subjective"
+        if rating:
+            axes.set_ylim(SCALE[0] - 0.2, SCALE[1] + 0.2)
+        else:
+            _within_reason(axes, about)
+        axes.set_title(about.label, fontsize=11, fontweight="bold")
+        unit = "7-point rating" + (f" (PROXY of {proxies})" if proxies else "") if rating else about.unit
+        axes.set_ylabel(unit, fontsize=8 if rating else 9, color="#444444")
+        axes.set_xticks(range(len(conditions)), [f"({condition.letter})" for condition in conditions.values()])
+        axes.set_xlim(-0.6, len(conditions) - 0.4)
+        axes.tick_params(labelsize=9)
+        axes.grid(axis="y", color="#E3E3E3", linewidth=0.8)
+        axes.set_axisbelow(True)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.legend(
+        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9
+    )
+    return figure
 
 
 def robustness_map(findings: pd.DataFrame) -> Figure:

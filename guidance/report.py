@@ -1,7 +1,8 @@
 """The report of a study: the paper's tables and Figure 6 with the paper's numbers beside ours.
 
 `python -m guidance.report runs=outputs/evaluate/...` gathers every trials.csv below the given folders (one run, or the
-runs of a sweep over conditions) and writes tests.csv, figure6.png, figure6.svg and report.html.
+runs of a sweep over conditions) and writes tests.csv, figure6.png, figure6.svg and report.html. With `beside` another
+group stands beside it, such as simulated people beside people, with beside.png and beside.svg.
 """
 
 import base64
@@ -15,24 +16,26 @@ import pandas as pd
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.cli import InputError, command
+from airhockey_marl.cli import command, input_errors
 from airhockey_marl.files import found_below, replacing, sha256, write_text
 from airhockey_marl.page import template
 from guidance.answers import QUESTIONS, answers
-from guidance.figures import figure6, save_figure
+from guidance.figures import figure6, means_beside, save_figure
+from guidance.groups import UNTESTED, Group, names_of, of_people, side_by_side
 from guidance.stats import (
     ALPHA,
     BEYOND,
     CONDITIONS,
     EVIDENCE,
+    EVIDENCE_OF_PEOPLE,
     FAMILIES,
+    FEWEST_PARTICIPANTS,
     METRICS,
     check_trials,
-    compare_with_paper,
     conditions_of,
+    lacking,
     published,
     reference_points,
-    run_tests,
     summary,
 )
 
@@ -41,16 +44,20 @@ PAPERS_LETTERS = [condition.letter for condition in CONDITIONS.values()]
 SHORT = ("win rate", "smash", "defense", "disagree", "helpful", "natural", "control", "comfort")
 
 
-def write_report(trials: pd.DataFrame, folder: Path | str, manifest: Mapping[str, Any]) -> pd.DataFrame:
+def write_report(
+    trials: pd.DataFrame, folder: Path | str, manifest: Mapping[str, Any], beside: Group | None = None
+) -> pd.DataFrame:
     """Test the trials and write tests.csv, figure6.png, figure6.svg and report.html into `folder`.
 
-    Every file is replaced whole. report.html holds its style and its figure and loads nothing.
+    Every file is replaced whole. report.html holds its style and its figures and loads nothing.
 
     Args:
         trials: one row per participant and condition, the columns of `trials.csv`; any subset of the conditions.
         folder: created if absent.
         manifest: what the trials came from (hashes of the models, seeds, versions, configuration); shown as it is.
-            `frozen`, if False, makes the report say that the run is not the frozen study.
+            `frozen`, if False, makes the report say that the run is not the frozen study. `participants`, if
+            "people", makes it take the ratings for what people said, and leave out of a test who has not finished.
+        beside: another group, to be shown beside these trials, tested alone, in beside.png, beside.svg and a section.
 
     Returns:
         The tests, see `guidance.stats.run_tests`.
@@ -60,20 +67,21 @@ def write_report(trials: pd.DataFrame, folder: Path | str, manifest: Mapping[str
     """
     if trials.empty:
         raise ValueError("no trials to report")
-    folder = Path(folder)
-    tests = run_tests(trials)
+    folder, group = Path(folder), Group(trials, manifest)
     with replacing(folder / "tests.csv") as path:
-        tests.to_csv(path, index=False)
-    svg = save_figure(lambda: figure6(trials, _withdrawn(manifest)), folder, "figure6", dpi=150)
-    write_text(folder / "report.html", _page(trials, tests, svg, manifest))
-    return tests
+        group.tests.to_csv(path, index=False)
+    svg = save_figure(lambda: figure6(trials, group.withdrawn, group.people), folder, "figure6", dpi=150)
+    shown = {} if beside is None else _beside(group, beside, folder)
+    write_text(folder / "report.html", _page(group, svg, {"beside": None} | shown))
+    return group.tests
 
 
-def screen_table(trials: pd.DataFrame) -> str:
+def screen_table(trials: pd.DataFrame, people: bool = False) -> str:
     """The means of the eight metrics per condition as aligned text, 97 characters wide, for a terminal."""
+    ratings = "7-point ratings" if people else "PROXY of the 7-point ratings"
     means = trials.groupby("condition")[list(METRICS)].mean()
     width, gap = 22, 9
-    lines = [f"{'':{width + 4 * gap}} | {'PROXY of the 7-point ratings':^{4 * gap}}"]
+    lines = [f"{'':{width + 4 * gap}} | {ratings:^{4 * gap}}"]
     cells = [("condition", [f"{name:>{gap}}" for name in SHORT])]
     for name, condition in conditions_of(trials).items():
         values = ["–" if np.isnan(value) else f"{value:.2f}" for value in means.loc[name]]
@@ -87,16 +95,20 @@ def merge(folders: Iterable[str | Path]) -> pd.DataFrame:
 
     Raises:
         ValueError: nothing found, an unreadable or empty file, a participant's game in a condition that occurs twice
-            with the same seed, or runs whose manifest.json tell of different studies (`study_hash`).
+            with the same seed, or runs whose manifest.json tell of different studies (`study_hash`), or some of people
+            and some not.
     """
     files = found_below(folders, TRIALS)
     studies: dict[str, list[str]] = {}
-    for file in files:
-        if "study_hash" in (manifest := _manifest(file)):
+    manifests = [_manifest(file) for file in files]
+    for file, manifest in zip(files, manifests, strict=True):
+        if "study_hash" in manifest:
             studies.setdefault(manifest["study_hash"], []).append(str(file.parent))
     if len(studies) > 1:
         named = "; ".join(f"{study}: {', '.join(places)}" for study, places in studies.items())
         raise ValueError(f"these runs are of different studies and cannot be merged: {named}")
+    if len({of_people(manifest) for manifest in manifests}) > 1:
+        raise ValueError("people and simulated people cannot be merged: name one of them as beside")
     trials = pd.concat([_read(file) for file in files], ignore_index=True)
     key = ["user", "condition", "seed"]
     if (repeated := trials[trials.duplicated(key)][key].drop_duplicates()).size:
@@ -127,28 +139,53 @@ def _manifest(trials_file: Path) -> dict[str, Any]:
         raise ValueError(f"{file} is not JSON: {error}") from error
 
 
-def _page(trials: pd.DataFrame, tests: pd.DataFrame, svg: bytes, manifest: Mapping[str, Any]) -> str:
+def _beside(here: Group, beside: Group, folder: Path) -> dict[str, Any]:
+    """Draw two groups side by side; what the template needs for their section."""
+    names = names_of([here, beside])
+    trials = dict(zip(names, (here.trials, beside.trials), strict=True))
+    people = [name for name, group in zip(names, (here, beside), strict=True) if group.people]
+    svg = save_figure(lambda: means_beside(trials, people), folder, "beside", dpi=130)
+    return {
+        "beside": side_by_side(here, beside),
+        "beside_figure": base64.b64encode(svg).decode("ascii"),
+        "beside_manifest": beside.manifest,
+    }
+
+
+def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
     """Fill the template: here what is shown is chosen, there how it looks."""
-    withdrawn = _withdrawn(manifest)
-    comparison = compare_with_paper(tests, withdrawn)
+    trials, tests, manifest, withdrawn, people = (
+        group.trials,
+        group.tests,
+        group.manifest,
+        group.withdrawn,
+        group.people,
+    )
+    comparison = group.comparison.copy()
     comparison["less"] = [_other(row.x, row.y, row.greater) for row in comparison.itertuples()]
     comparison["paper_less"] = [_other(row.x, row.y, row.paper_greater) for row in comparison.itertuples()]
     comparison["dz_toward_paper"] = comparison["dz"] * np.where(comparison["x"] == comparison["paper_greater"], 1, -1)
     findings = comparison[comparison["paper"] == "significant"]
-    tested = ~comparison["outcome"].isin(("not_tested", "withdrawn"))
+    tested = ~comparison["outcome"].isin(UNTESTED)
     counts = comparison["significant"] & tested
     ours = comparison.assign(tested=tested, greater=comparison["greater"].where(counts, ""))
     paper = comparison.assign(tested=True, greater=comparison["paper_greater"])
-    by_chance, rerun = reference_points()
+    enough = group.size >= FEWEST_PARTICIPANTS
+    by_chance, rerun = (reference_points(group.size) if enough else (None, None)) if people else reference_points()
+    in_family = tests.groupby("family", sort=False)["n"].max()
 
     return template(Path(__file__).parent, p=_p).render(
-        participants=trials["user"].nunique(),
+        people=people,
+        participants=group.size,
+        planned=group.planned,
+        unfinished=_unfinished(trials),
+        too_few=in_family[in_family < FEWEST_PARTICIPANTS].to_dict() if people else {},
         games=len(trials),
         conditions=CONDITIONS,
         labels={c.letter: c.label for c in (CONDITIONS | conditions_of(trials)).values()},
         types={"a": "NHG", "c": "OAHG", "f": "UPHG", "i": "CombHG"},
         metrics=METRICS,
-        evidence=EVIDENCE,
+        evidence=EVIDENCE_OF_PEOPLE if people else EVIDENCE,
         withdrawn=withdrawn,
         absent=[name for name in CONDITIONS if name not in conditions_of(trials)],
         untested_families=[family for family in FAMILIES if family not in set(tests["family"])],
@@ -168,16 +205,17 @@ def _page(trials: pd.DataFrame, tests: pd.DataFrame, svg: bytes, manifest: Mappi
         by_ranks=int((findings["rank_p"].lt(ALPHA) & _same_sign(findings) & ~findings["metric"].isin(withdrawn)).sum()),
         weights=_weights(trials),
         questions=QUESTIONS,
-        answers=answers(ours),
+        answers=answers(ours, people),
         paper_answers=answers(paper),
         manifest=manifest,
+        **beside,
     )
 
 
-def _withdrawn(manifest: Mapping[str, Any]) -> list[str]:
-    """The metrics that the study's configuration withdraws; of merged runs, which are of one study, any will do."""
-    manifest = next(iter(manifest["runs"].values()), {}) if "runs" in manifest else manifest
-    return list(manifest.get("config", {}).get("users", {}).get("withdrawn", []))
+def _unfinished(trials: pd.DataFrame) -> dict[str, int]:
+    """Whoever has not played all conditions, and how many they have."""
+    games = trials["user"].value_counts()
+    return {user: int(games[user]) for user in lacking(trials)}
 
 
 def _other(x: str, y: str, letter: str) -> str:
@@ -185,8 +223,14 @@ def _other(x: str, y: str, letter: str) -> str:
 
 
 def _means(trials: pd.DataFrame) -> list[dict[Any, Any]]:
-    by_condition = trials.groupby("condition")[list(METRICS)].agg(["mean", "std"])
-    return [{"condition": condition, **by_condition.loc[name]} for name, condition in conditions_of(trials).items()]
+    by_condition, n = (
+        trials.groupby("condition")[list(METRICS)].agg(["mean", "std"]),
+        trials["condition"].value_counts(),
+    )
+    return [
+        {"condition": condition, "n": n[name], **by_condition.loc[name]}
+        for name, condition in conditions_of(trials).items()
+    ]
 
 
 def _paired_rows(tests: pd.DataFrame, comparison: pd.DataFrame) -> list[dict[str, Any]]:
@@ -229,25 +273,50 @@ def _p(value: float) -> str:
     return "<.001" if value < 0.001 else "1" if value >= 0.9995 else f"{value:.3f}"[1:]
 
 
+def gather(places: Iterable[str | Path]) -> Group:
+    """The trials at or below these places, see `merge`, with their manifests and the hashes of their files.
+
+    Raises:
+        ValueError: what `merge` and `guidance.stats.check_trials` refuse.
+    """
+    files = found_below(places, TRIALS)
+    manifests = {str(file.parent): _manifest(file) for file in files}
+    manifest = next(iter(manifests.values())) if len(files) == 1 else {"runs": manifests}
+    group = Group(merge(files), manifest | {"trials_sha256": {str(file): sha256(file) for file in files}})
+    check_trials(group.trials, group.people)
+    return group
+
+
+def _places(runs: Any) -> list[str]:
+    return [runs] if isinstance(runs, str) else list(runs)
+
+
+def _files(group: Group) -> dict[str, str]:
+    return group.manifest["trials_sha256"]
+
+
 @command("report")
 def main(cfg: DictConfig) -> None:
     """Gather the runs, write their report, and say on the screen where it is."""
-    runs = [cfg.runs] if isinstance(cfg.runs, str) else list(cfg.runs)
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
-    try:
-        files = found_below(runs, TRIALS)
-        trials = merge(files)
-        check_trials(trials)
-        manifests = {str(file.parent): _manifest(file) for file in files}
-    except ValueError as error:
-        raise InputError(str(error)) from error
-    manifest = next(iter(manifests.values())) if len(files) == 1 else {"runs": manifests}
-    tests = write_report(trials, folder, manifest | {"trials_sha256": {str(file): sha256(file) for file in files}})
-    print(screen_table(trials))
-    counts = summary(compare_with_paper(tests, _withdrawn(manifest)))
+    with input_errors():
+        group = gather(_places(cfg.runs))
+        try:
+            beside = None if cfg.beside is None else gather(_places(cfg.beside))
+        except ValueError as error:
+            raise ValueError(f"beside: {error}") from error
+        if beside and (same := set(_files(group).values()) & set(_files(beside).values())):
+            named = ", ".join(file for file, digest in _files(beside).items() if digest in same)
+            raise ValueError(f"beside = {cfg.beside} has the same games as runs = {cfg.runs}: {named}")
+    write_report(group.trials, folder, group.manifest, beside)
+    print(screen_table(group.trials, group.people))
+    counts = summary(group.comparison)
     everything, others = counts.loc["all"], counts.loc["none"]
     print(f"\n{everything.replicated} of the paper's 38 findings replicate ({everything.tested} tested),", end=" ")
     print(f"{everything.reversed} reversed; {others.wrongly_significant} of its 63 non-findings are significant here")
+    if beside:
+        everything = summary(beside.comparison).loc["all"]
+        print(f"beside: {everything.replicated} replicate ({everything.tested} tested), {everything.reversed} reversed")
     print(f"report: {folder / 'report.html'}")
 
 

@@ -3,7 +3,7 @@
 Within a guidance type, and then between types, every one of the eight metrics is compared across the same
 participants: a paired t-test for the two OAHG conditions, a repeated measures ANOVA with Greenhouse-Geisser correction
 for the three UPHG, the three CombHG and the four types, and after a significant ANOVA paired t-tests with Bonferroni
-correction. The four ratings are proxies computed from simulated people; every result about them says `proxy`.
+correction. Of simulated people the four ratings are proxies, and every result about them says `proxy`; people rate.
 
 `pingouin` computes the ANOVA (its values agree with SPSS, R and JASP). The pairs come from `scipy.stats.ttest_rel`,
 because pingouin rounds the confidence interval to two decimals.
@@ -66,6 +66,7 @@ METRICS = {
 FAMILIES = {"OAHG": "bc", "UPHG": "def", "CombHG": "ghi", "types": "acfi"}
 BEYOND = "beyond"  # the type of every condition that is not the paper's, and the family in which it meets the types
 EVIDENCE = {"M": "mechanical", "P": "performance", "S": "proxy", "S0": "proxy, nearly automatic"}
+EVIDENCE_OF_PEOPLE = EVIDENCE | {"S": "rating", "S0": "rating, against no force"}
 
 
 def conditions_of(trials: pd.DataFrame) -> dict[str, Condition]:
@@ -90,7 +91,7 @@ TESTS_DTYPES = (
 )
 
 
-def run_tests(trials: pd.DataFrame) -> pd.DataFrame:
+def run_tests(trials: pd.DataFrame, people: bool = False) -> pd.DataFrame:
     """Run every test of section 5 that the conditions present allow.
 
     Args:
@@ -98,6 +99,8 @@ def run_tests(trials: pd.DataFrame) -> pd.DataFrame:
             an undefined value is NaN and excludes that participant from the family's test of that metric. NHG has no
             disagreement, so the types are compared on it without NHG (section 5.2). Conditions that are not the
             paper's meet the types of guidance in a family of their own, `beyond`.
+        people: they are of people, whose ratings are no proxies, and some of whom may not have finished: these are
+            excluded as if what they have not played were NaN.
 
     Returns:
         One row per test, empty with fewer than three participants; families with an absent condition are skipped.
@@ -114,7 +117,7 @@ def run_tests(trials: pd.DataFrame) -> pd.DataFrame:
     Raises:
         ValueError: trials that `check_trials` refuses.
     """
-    check_trials(trials)
+    check_trials(trials, people)
     rows: list[dict[str, Any]] = []
     conditions = conditions_of(trials)
     own = "".join(condition.letter for condition in conditions.values() if condition.guidance == BEYOND)
@@ -126,18 +129,27 @@ def run_tests(trials: pd.DataFrame) -> pd.DataFrame:
             if set(levels) <= set(tidy["condition"]):
                 scores = tidy.pivot(index="user", columns="condition", values=metric)[levels].astype(float).dropna()
                 kind = METRICS[metric].kind
-                shared = {"family": family, "metric": metric, "kind": kind, "proxy": kind == "subjective"}
+                shared = {
+                    "family": family,
+                    "metric": metric,
+                    "kind": kind,
+                    "proxy": kind == "subjective" and not people,
+                }
                 rows += [shared | row for row in _compare(scores)]
     tests = pd.DataFrame(rows, columns=list(TESTS_DTYPES))
     return tests.fillna({"x": "", "y": "", "greater": ""}).astype(TESTS_DTYPES)
 
 
-def check_trials(trials: pd.DataFrame) -> None:
+def check_trials(trials: pd.DataFrame, people: bool = False) -> None:
     """Refuse trials that cannot be compared within participants.
+
+    Args:
+        people: they are of people, who play one condition after the other: all need not have played the same.
 
     Raises:
         ValueError: an absent column, too many conditions, an infinite value, two rows for one participant and
-            condition, or a participant without a row for a condition that others have; the message names them.
+            condition, or, unless of people, a participant without a row for a condition that others have; the message
+            names them.
     """
     if absent := [column for column in ("user", "condition", *METRICS) if column not in trials]:
         raise ValueError(f"trials lack the columns {', '.join(absent)}")
@@ -147,10 +159,16 @@ def check_trials(trials: pd.DataFrame) -> None:
     games = trials.groupby(["user", "condition"]).size()
     if named := ", ".join(f"{user} {condition}" for user, condition in games[games > 1].index):
         raise ValueError(f"more than one game of a participant in a condition: {named}")
-    games = games.unstack(fill_value=0)
-    lacking = {user: [name for name in games if row[name] == 0] for user, row in games.iterrows()}
-    if named := "; ".join(f"{user} lacks {', '.join(names)}" for user, names in lacking.items() if names):
+    named = "; ".join(f"{user} lacks {', '.join(names)}" for user, names in lacking(trials).items())
+    if named and not people:
         raise ValueError(f"every participant must have played every condition: {named}")
+
+
+def lacking(trials: pd.DataFrame) -> dict[str, list[str]]:
+    """Whoever has not played all conditions that are in the trials, and which ones."""
+    games = trials.groupby(["user", "condition"]).size().unstack(fill_value=0)
+    absent = {user: [name for name in games if row[name] == 0] for user, row in games.iterrows()}
+    return {user: names for user, names in absent.items() if names}
 
 
 def _compare(scores: pd.DataFrame) -> list[dict[str, Any]]:

@@ -5,6 +5,7 @@ import html
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -17,9 +18,10 @@ from scipy import stats as scipy_stats
 
 from airhockey_marl.files import found_below
 from guidance.answers import answers
-from guidance.figures import COLOURS, confidence_half_width, figure6
+from guidance.figures import COLOURS, confidence_half_width, figure6, means_beside
+from guidance.groups import Group, side_by_side
 from guidance.report import merge, screen_table, write_report
-from guidance.stats import CONDITIONS, METRICS, compare_with_paper, published, run_tests, summary
+from guidance.stats import CONDITIONS, METRICS, check_trials, compare_with_paper, published, run_tests, summary
 
 WEIGHTS = {"w_unc_optimal": "ci", "w_unc_user": "fi", "w_sim": "hi"}
 SUBJECTIVE = [metric.label for metric in METRICS.values() if metric.kind == "subjective"]
@@ -364,3 +366,228 @@ def test_conditions_beyond_the_paper_have_a_section_and_a_bar(trials, tmp_path):
     assert "Win rate (j) <mine> > (a) NHG" in text
     assert len(figure6(everything).axes[0].patches) == 10
     assert "(j) <mine>" in screen_table(everything)
+
+
+PEOPLE = {
+    "study_hash": "77aa" * 16,
+    "seed": 7,
+    "participants": "people",
+    "frozen": False,
+    "withdrawals": 1,
+    "config": {"participants": 20, "users": {"withdrawn": ["comfort"]}},
+}
+SIMULATED = {"study_hash": "5e1f" * 16, "config": {"users": {"withdrawn": ["helpfulness"]}}}
+
+
+def page_of(folder: Path) -> str:
+    return (folder / "report.html").read_text(encoding="utf-8")
+
+
+def test_what_people_say_is_a_rating(trials, tmp_path):
+    """Not one number differs from those of the same trials of simulated people, and no word says proxy."""
+    tests = write_report(trials, tmp_path / "people", PEOPLE)
+    of_proxies = write_report(trials, tmp_path / "simulated", {})
+    assert not tests["proxy"].any() and of_proxies["proxy"].any()
+    pd.testing.assert_frame_equal(tests.drop(columns="proxy"), of_proxies.drop(columns="proxy"))
+    text = text_of(page_of(tmp_path / "people"))
+    before_manifest = text[: text.index("Where these numbers come from")]
+    for word in ("proxy", "proxies", "simulat", "withdrawn", "tuning", "frozen"):
+        assert word not in before_manifest.lower(), word
+    assert "20 participants, 180 games, all nine" in text and "their ratings , from 1 to 7" in text
+    assert "S · rating" in text and "S0 · rating, against no force" in text
+    assert "Interim" not in text and "Unfinished" not in text and "Not tested" not in text
+    svg = (tmp_path / "people" / "figure6.svg").read_text()
+    assert "PROXY" not in svg and "PROXY" in (tmp_path / "simulated" / "figure6.svg").read_text()
+    assert "PROXY" not in screen_table(trials, people=True)
+    assert {len(line) for line in screen_table(trials, people=True).splitlines()} == {97}
+    withdrawn = summary(compare_with_paper(tests, ["comfort"])).loc["all", "tested"]
+    assert withdrawn < 38 and "comparisons among" not in text  # all 38 count
+
+
+def test_manifests_that_say_nothing_or_simulated_are_of_simulated_people(trials, tmp_path):
+    for name, manifest in (("nothing", {}), ("simulated", {"participants": "simulated"})):
+        write_report(trials, tmp_path / name, manifest)
+    pages = [page_of(tmp_path / name).partition("Where these numbers")[0] for name in ("nothing", "simulated")]
+    assert pages[0] == pages[1] and "20 simulated participants" in pages[0]
+    with pytest.raises(ValueError, match="participants = 'robots' must be people or simulated"):
+        write_report(trials, tmp_path, {"participants": "robots"})
+
+
+@pytest.mark.parametrize("users", [1, 2, 3])
+def test_few_people(tmp_path, users):
+    tests = write_report(synthetic_trials(users=users), tmp_path, PEOPLE)
+    text = text_of(page_of(tmp_path))
+    assert f"Interim. {users} of the 20 participants" in text
+    if users < 3:
+        assert tests.empty and f"Not tested: too few participants ({users})" in text
+        assert "None of the paper’s 38 significant comparisons could be tested" in text
+        assert "With fewer than three participants nothing is tested." in text
+    else:
+        assert len(tests) == 8 * (1 + 4 + 4 + 7) - 3 and "Not tested" not in text  # disagreement has three types
+        assert "For scale, with 3 participants: guidance without any effect" in text
+
+
+def unfinished(users: int = 5) -> pd.DataFrame:
+    """People of whom the last but one has played four conditions, and the last one."""
+    trials = synthetic_trials(users=users)
+    played = {f"S{users - 1:02d}": list(CONDITIONS)[:4], f"S{users:02d}": ["nhg"]}
+    keep = [row.condition in played.get(row.user, CONDITIONS) for row in trials.itertuples()]
+    return trials[keep]
+
+
+def test_people_who_have_not_finished(tmp_path):
+    trials = unfinished()
+    tests = write_report(trials, tmp_path, PEOPLE)
+    whole = run_tests(synthetic_trials(users=5).query("user in ['S01', 'S02', 'S03']"), people=True)
+    for family in ("UPHG", "CombHG", "types"):  # as if the two were not there
+        kept, expected = (frame[frame["family"] == family].reset_index(drop=True) for frame in (tests, whole))
+        pd.testing.assert_frame_equal(kept, expected)
+    assert set(tests.loc[tests["family"] == "OAHG", "n"]) == {4}
+    text = text_of(page_of(tmp_path))
+    assert "Unfinished: S04 (4 of 9 conditions), S05 (1 of 9 conditions)." in text
+    assert "(a) NHG n = 5" in text and "(i) CombHG (UT+UA+SC) n = 3" in text
+    nhg = trials.loc[trials["condition"] == "nhg", "win_rate"]
+    assert f"(a) NHG n = 5 {nhg.mean():.2f} ± {nhg.std():.2f} " in text
+    with pytest.raises(ValueError, match="every participant must have played every condition: S04 lacks"):
+        check_trials(trials)
+
+
+def test_families_that_too_few_people_have_finished_are_named(tmp_path):
+    tests = write_report(unfinished(4), tmp_path / "all", PEOPLE)
+    text = text_of(page_of(tmp_path / "all"))
+    assert "Not tested: within UPHG, within CombHG, types. Fewer than three" in text
+    assert tests.loc[tests["family"] == "OAHG", "p"].notna().all()
+    counts = summary(compare_with_paper(tests))
+    assert counts.loc["all", "tested"] == 1 and "of the 1 testable comparisons" in text
+    some = unfinished(4).query("condition in ['nhg', 'oahg', 'oahg_ut']")
+    write_report(some, tmp_path / "some", PEOPLE)
+    text = text_of(page_of(tmp_path / "some"))
+    assert "Not tested: within UPHG, within CombHG, types." in text
+    assert "Unfinished: S04 (1 of 3 conditions)" in text
+
+
+def test_people_and_simulated_people_are_never_merged(sweep):
+    file = sweep / "condition=uphg[0]" / "manifest.json"
+    file.write_text(json.dumps({"study_hash": "1234", "participants": "people"}))
+    with pytest.raises(ValueError, match="people and simulated people cannot be merged"):
+        merge([sweep])
+
+
+@pytest.fixture(scope="module")
+def groups() -> tuple[Group, Group]:
+    return Group(unfinished(), PEOPLE), Group(synthetic_trials(seed=2), SIMULATED)
+
+
+def test_two_groups_stand_side_by_side(groups, tmp_path):
+    people, simulated = groups
+    tests = write_report(people.trials, tmp_path, PEOPLE, simulated)
+    pd.testing.assert_frame_equal(tests, run_tests(people.trials, people=True))  # as without the other
+    page = page_of(tmp_path)
+    section = page[page.index("<h2>Side by side</h2>") : page.index("<h2>Where the paper is contradicted</h2>")]
+    text = text_of(section)
+    assert "5 people beside 20 simulated people : each tested alone, and never pooled." in text.replace(
+        "people:", "people :"
+    )
+    assert "They are of different studies" in text
+    assert f"people {PEOPLE['study_hash']} simulated people {SIMULATED['study_hash']}" in text
+    for group, name in ((people, "people"), (simulated, "simulated people")):
+        scores = group.trials.pivot(index="user", columns="condition", values="win_rate")["oahg"].dropna()
+        low, high = scipy_stats.ttest_1samp(scores, scores.mean()).confidence_interval(0.95)
+        assert f"{name} {len(scores)} {scores.mean():.2f} ± {(high - low) / 2:.2f} " in text
+    assert section.count("<tr") == 2 + 2 + 18 + 2 + 38
+    outcomes = simulated.comparison.query("paper == 'significant'")["outcome"]
+    mine = people.comparison.query("paper == 'significant'")["outcome"]
+    for word, outcome in (("✓ replicated", "replicated"), ("⇄ reversed", "reversed"), ("withdrawn", "withdrawn")):
+        assert section.count(word) == outcomes.eq(outcome).sum() + mine.eq(outcome).sum()
+    assert outcomes.eq("withdrawn").any() and not mine.eq("withdrawn").any()
+    findings = re.findall(r"<tr[^>]*>(.*?)</tr>", section[section.index("38 findings") :], flags=re.DOTALL)[2:]
+    proxies = [len(re.findall("PROXY", row)) for row in findings]
+    assert proxies == published("findings")["kind"].eq("subjective").astype(int).tolist()
+    sources = re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', page)
+    assert [base64.b64decode(source) for source in sources] == [
+        (tmp_path / name).read_bytes() for name in ("figure6.svg", "beside.svg")
+    ]
+    assert (tmp_path / "beside.png").read_bytes().startswith(b"\x89PNG")
+    assert "5e1f" in page[page.index("Where these numbers come from") :]
+
+
+def test_counts_side_by_side_are_of_findings_that_both_tested(groups):
+    people, simulated = groups
+    both = side_by_side(people, simulated)
+    assert sum(both["counts"].values()) == 38
+    assert both["counts"]["untested"] == published("findings")["metric"].eq("helpfulness").sum()
+    for row in both["findings"]:
+        ours, theirs = row["rows"]
+        assert ours["id"] == theirs["id"] == row["id"] and {row["paper_greater"], row["less"]} == {row["x"], row["y"]}
+        agrees = ours["greater"] == row["paper_greater"]
+        assert np.isnan(ours["toward_paper"]) or (ours["toward_paper"] > 0) == agrees
+    again = side_by_side(simulated, simulated)["counts"]
+    assert again["first"] == again["second"] == 0 < again["both"]
+
+
+def test_groups_of_a_kind_are_told_apart(trials, tmp_path):
+    simulated = Group(synthetic_trials(seed=2), {})
+    write_report(trials, tmp_path, SIMULATED, simulated)
+    text = text_of(page_of(tmp_path))
+    assert "20 simulated people here beside 20 simulated people beside" in text
+    assert "Whether they are of the same study is not known" in text and "left no study_hash" in text
+
+
+def test_figure_of_two_groups_draws_both_means(groups):
+    people, simulated = groups
+    figure = means_beside({"people": people.trials, "simulated people": simulated.trials}, ["people"])
+    for axes, metric in zip(figure.axes, METRICS, strict=True):
+        lines = [line for line in axes.lines if not str(line.get_label()).startswith("_")]
+        assert [line.get_label() for line in lines] == ["people (n = 5)", "simulated people (n = 20)"]
+        for line, group in zip(lines, groups, strict=True):
+            means = group.trials.groupby("condition")[metric].mean().loc[list(CONDITIONS)]
+            np.testing.assert_allclose(line.get_ydata(), means)
+        assert ("PROXY of simulated people" in axes.get_ylabel()) == (METRICS[metric].kind == "subjective")
+
+
+def test_conditions_of_one_group_only_have_one_letter_in_both(trials):
+    mine = trials[trials["condition"] == "oahg_ut"].assign(condition="mine")
+    yours = trials[trials["condition"] == "oahg_ut"].assign(condition="yours")
+    groups = [Group(pd.concat([trials, own], ignore_index=True), {}) for own in (mine, yours)]
+    rows = {row["label"]: row for row in side_by_side(*groups)["means"]}
+    assert (rows["mine"]["letter"], rows["yours"]["letter"]) == ("j", "k")
+    assert [cell["n"] for cell in rows["yours"]["cells"]] == [0, 20]
+    assert len(means_beside({"a": groups[0].trials, "b": groups[1].trials}, []).axes[0].get_xticks()) == 11
+
+
+@pytest.fixture
+def studies(tmp_path):
+    """A study with people who have not finished, and a simulated one."""
+    for name, trials, manifest in (
+        ("people", unfinished(), PEOPLE),
+        ("simulated", synthetic_trials(seed=2), SIMULATED),
+    ):
+        (tmp_path / name).mkdir()
+        trials.to_csv(tmp_path / name / "trials.csv", index=False)
+        (tmp_path / name / "manifest.json").write_text(json.dumps(manifest))
+    return tmp_path
+
+
+def test_command_sets_two_groups_side_by_side(studies):
+    done = report_command("runs=people", "beside=simulated", "out=result", cwd=studies)
+    assert done.returncode == 0, done.stderr
+    assert "7-point ratings" in done.stdout and "PROXY" not in done.stdout
+    assert re.search(r"^beside: \d+ replicate \(\d+ tested\), \d+ reversed$", done.stdout, flags=re.MULTILINE)
+    assert {path.name for path in (studies / "result").iterdir()} == {
+        f"{name}.{kind}" for name in ("figure6", "beside") for kind in ("png", "svg")
+    } | {"report.html", "tests.csv"}
+
+
+@pytest.mark.parametrize(
+    ("beside", "message"),
+    [
+        ("people", "beside = people has the same games as runs = people: people/trials.csv"),
+        ("copy", "beside = copy has the same games as runs = people: copy/trials.csv"),
+        ("nowhere", "beside: runs = nowhere: there is no trials.csv at or below it"),
+    ],
+)
+def test_command_refuses_to_set_games_beside_themselves(studies, beside, message):
+    shutil.copytree(studies / "people", studies / "copy")
+    done = report_command("runs=people", f"beside={beside}", "out=result", cwd=studies)
+    assert done.returncode == 2 and not (studies / "result").exists()
+    assert done.stderr.strip() == f"error: {message}"
