@@ -246,9 +246,9 @@ def _draw_standing(now: pd.Series, title: str, width: int, size: int) -> Image.I
     write, plain, bold = ImageDraw.Draw(image).text, _font(size), _font(round(1.3 * size), True)
     middle, line = width / 2, 0.7 * row
     write((size, line), title, INK, bold, anchor="lm")
-    write((middle - size, line), f"{now['won']}", COLOURS[LEFT], bold, anchor="rm")
+    write((middle - size, line), f"{now['won']:.0f}", COLOURS[LEFT], bold, anchor="rm")
     write((middle, line), ":", INK, bold, anchor="mm")
-    write((middle + size, line), f"{now['lost']}", COLOURS[RIGHT], bold, anchor="lm")
+    write((middle + size, line), f"{now['lost']:.0f}", COLOURS[RIGHT], bold, anchor="lm")
     write((width - size, line), f"{now['time_s']:.2f} s", INK, bold, anchor="rm")
     line += row
     wish = f"wants to {WISHES[now['intention']]}" if "intention" in now else ""

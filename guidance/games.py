@@ -69,6 +69,7 @@ class Rink:
 
     Attributes:
         force: (n, 2) N, what each hand felt last.
+        puck_before: (n, 4) the pucks before the last tick.
     """
 
     def __init__(self, participants: Participants, opponent: Player, table: Table, serves: np.ndarray) -> None:
@@ -94,6 +95,7 @@ class Rink:
         games = self._all if games is None else games
         tables, actions = self.tables, self._actions
         tables.observe(LEFT, self._seen)
+        self.puck_before = tables.bodies[:, PUCK].copy()
         before = self.participants.action.copy()
         guided = forces(self._seen, before, games)
         self.force[games] = guided.force.numpy()
@@ -174,6 +176,34 @@ class Schedule:
         return ended
 
 
+class Scoring:
+    """The objective metrics of the games on a rink, and the moments of their weights, kept tick by tick."""
+
+    def __init__(self, rink: Rink) -> None:
+        n = len(rink.everyone)
+        self.rink, self._sheets = rink, new_sheets(n)
+        self._weights = {name: Moments(n) for name in Guided._fields[1:]}
+
+    def add(self, tick: Tick) -> None:
+        """Enter the tick that the rink has just played."""
+        rink, tables = self.rink, self.rink.tables
+        disagreed = disagreement(rink.force, tick.action - tick.before)
+        pucks = rink.puck_before, tables.bodies[:, PUCK]
+        record(self._sheets, tick.games, *pucks, tables.touched, tables.served, tick.goals, disagreed, tables.table)
+        for name, moments in self._weights.items():
+            if getattr(tick.guided, name) is not None:
+                moments.add(tick.games, getattr(tick.guided, name).numpy())
+
+    def results(self) -> dict[str, np.ndarray]:
+        """The objective metrics so far, (n,) each."""
+        return results(self._sheets)
+
+    def weights(self) -> dict[str, np.ndarray]:
+        """Mean and SD (n,) of each weight so far."""
+        both = {name: moments.result() for name, moments in self._weights.items()}
+        return {f"{name}_{part}": values[i] for name, values in both.items() for i, part in enumerate(("mean", "sd"))}
+
+
 @dataclass
 class Games:
     """What n games side by side have brought.
@@ -223,21 +253,15 @@ def play_games(
     n = len(serves)
     rink, schedule = Rink(participants, opponent, table, serves), Schedule(n, protocol, table.tick)
     rink.new_games()
-    sheets, weights = new_sheets(n), {name: Moments(n) for name in Guided._fields[1:]}
+    scoring = Scoring(rink)
     trail: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     while len(games := schedule.playing):
         if schedule.begins():
             rink.new_games()
-        puck_before = rink.tables.bodies[:, PUCK].copy()
         tick = rink.tick(forces, games)
         if schedule.scored:
-            how = rink.tables.touched, rink.tables.served, tick.goals
-            disagreed = disagreement(rink.force, tick.action - tick.before)
-            record(sheets, games, puck_before, rink.tables.bodies[:, PUCK], *how, disagreed, table)
-            for name, moments in weights.items():
-                if getattr(tick.guided, name) is not None:
-                    moments.add(games, getattr(tick.guided, name).numpy())
+            scoring.add(tick)
             if keep_demonstrations:
                 trail.append((games, tick.state[games].astype(np.float32), tick.action[games].astype(np.float32)))
         scored, ended = schedule.scored, schedule.tick(tick.goals)
@@ -246,14 +270,11 @@ def play_games(
             rink.new_rounds(ended)
             progress(float(np.minimum(schedule.rounds / protocol.rounds, 1).mean()))
 
-    summaries = {name: moments.result() for name, moments in weights.items()}
     return Games(
-        results=results(sheets),
+        results=scoring.results(),
         rounds=schedule.rounds,
         seconds=schedule.ticks * table.tick,
-        weights={
-            f"{name}_{part}": values[i] for name, values in summaries.items() for i, part in enumerate(("mean", "sd"))
-        },
+        weights=scoring.weights(),
         demonstrations=_by_game(trail, n),
     )
 

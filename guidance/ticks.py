@@ -3,9 +3,11 @@
 Films are drawn from such a table, replays are played from it, and user adaptation learns from it.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
+from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -21,33 +23,48 @@ from guidance.users.arm import HAND_REACH
 
 STATE = [f"{body}_{part}" for body in ("own", "other", "puck") for part in ("x", "y", "vx", "vy")]
 ACTION = ["action_x", "action_y"]
+_PADDLES = {
+    f"{body}_{part}": (f"{what}, {axis} of its {of}", unit)
+    for body, what in (("own", "the own paddle"), ("other", "the opponent's paddle"), ("puck", "the puck"))
+    for part, axis, of, unit in (
+        ("x", "x", "place: from the table's centre toward the opponent", "m"),
+        ("y", "y", "place: to the left", "m"),
+        ("vx", "x", "velocity", "m/s"),
+        ("vy", "y", "velocity", "m/s"),
+    )
+}
+_TARGETS = {
+    f"{model}{part}_{axis}": (f"what {who} says of the looked-ahead state: {what} of the action, {axis}", "action")
+    for model, who in (
+        ("optimal", "the optimal action model"),
+        ("predicted", "the user model, adapted if there is one"),
+    )
+    for part, what in (("", "mean"), ("_std", "STD"))
+    for axis in "xy"
+}
+_MEANINGS = {
+    "time_s": ("time at the tick's end since the game, or its familiarisation, began", "s"),
+    "scored": ("1 in the game itself, 0 in the familiarisation before it", "1"),
+    "round": ("number of the round, from 1", "1"),
+    "won": ("rounds that the person has won, with this tick", "1"),
+    "lost": ("rounds that the opponent has won, with this tick", "1"),
+    "goal": ("1 if the person scored in this tick, -1 if the opponent did, else 0", "1"),
+    "hand_x": ("where the hand was, from the centre of its workspace toward the opponent", "m"),
+    "hand_y": ("where the hand was, to the left", "m"),
+    **_PADDLES,
+    **_TARGETS,
+    "w_unc_optimal": ("W_unc of the optimal action model (Eq. 5), where the guidance has it", "1"),
+    "w_unc_predicted": ("W_unc of the user model (Eq. 5), where the guidance has it", "1"),
+    "w_sim": ("W_sim (Eq. 7), where the guidance has it", "1"),
+    "force_x": ("the guidance's force on the hand, held for the tick, toward the opponent", "N"),
+    "force_y": ("the guidance's force on the hand, to the left", "N"),
+    "felt_x": ("what the hand felt at the tick's end, after the safety layer, toward the opponent", "N"),
+    "felt_y": ("the same, to the left", "N"),
+    "action_x": ("where the hand was at the tick's end, over its reach: the action", "1"),
+    "action_y": ("the same to the left", "1"),
+}
 COLUMNS = MappingProxyType(
-    {
-        "time_s": "time at the end of the tick since the game, or its familiarisation, began, in s",
-        "scored": "1 in the game itself, 0 in the familiarisation before it",
-        "round": "number of the round, from 1",
-        "won": "rounds that the person has won, with this tick",
-        "lost": "rounds that the opponent has won, with this tick",
-        "goal": "1 if the person scored in this tick, -1 if the opponent did, else 0",
-        "hand_x": "where the hand was, from the centre of its workspace toward the opponent, in m",
-        "hand_y": "where the hand was, to the left, in m",
-        **{name: "own paddle, other paddle, puck, in m and m/s from the centre of the table" for name in STATE},
-        "optimal_x": "what the optimal action model says of the looked-ahead state: mean, in units of action",
-        "optimal_y": "see optimal_x",
-        "optimal_std_x": "its STD",
-        "optimal_std_y": "its STD",
-        "predicted_x": "what the user model says of it, the person's own where there is one: mean",
-        "predicted_y": "see predicted_x",
-        "predicted_std_x": "its STD",
-        "predicted_std_y": "its STD",
-        "w_unc_optimal": "W_unc of the optimal action model (Eq. 5); not a number where the guidance has none",
-        "w_unc_predicted": "W_unc of the user model (Eq. 5)",
-        "w_sim": "W_sim (Eq. 7)",
-        "force_x": "the guidance's force on the hand, held for the tick, in N",
-        "force_y": "see force_x",
-        "action_x": "where the hand was at the end of the tick, over its reach: the action",
-        "action_y": "see action_x",
-    }
+    {name: {"Description": meaning, "Units": unit} for name, (meaning, unit) in _MEANINGS.items()}
 )
 """What the columns mean; all but those about the goal and the action are of the beginning of the tick."""
 
@@ -78,6 +95,12 @@ class Overheard:
         return self.targets[ADAPTED if ADAPTED in self.targets else USER]
 
 
+def scene_facts(condition: Condition, player: str, opponent: str, adapted: bool) -> dict[str, Any]:
+    """What a film of a game under a condition says about it, see `guidance.drawing.Scene`; plain JSON."""
+    used = sorted({"optimal" if model == OPTIMAL else "predicted" for model in condition.guidance.models()})
+    return {"title": condition.label, "player": player, "opponent": opponent, "used": used, "adapted": adapted}
+
+
 def overheard_guide(
     condition: Condition, models: Models, adapted: TensorDict | None, lookahead_seconds: float
 ) -> tuple[Guide, Overheard]:
@@ -95,13 +118,17 @@ class TickLog:
 
     Args:
         tick_seconds: s.
+        felt: the force that acts on the hand, N; where it is what the guidance asks for, None.
 
     Attributes:
-        rows: one per tick, see `COLUMNS`.
+        rows: one per tick, see `COLUMNS`; those that have not been taken.
+        time, round, won, lost, scored: how it stands.
     """
 
-    def __init__(self, overheard: Overheard, tick_seconds: float) -> None:
-        self.overheard, self.tick_seconds, self.rows = overheard, tick_seconds, []
+    def __init__(
+        self, overheard: Overheard, tick_seconds: float, felt: Callable[[], tuple[float, float]] | None = None
+    ) -> None:
+        self.overheard, self.tick_seconds, self.felt, self.rows = overheard, tick_seconds, felt, []
         self.time, self.round, self.won, self.lost, self.scored = 0.0, 1, 0, 0, False
 
     def __call__(self, tick: Tick, scored: bool, ended: bool) -> dict[str, float]:
@@ -116,7 +143,8 @@ class TickLog:
         optimal, predicted = self.overheard.optimal, self.overheard.predicted
         pairs = {"hand": HAND_REACH * tick.before[0], "optimal": optimal.mean[0], "optimal_std": optimal.std[0]}
         pairs |= {"predicted": predicted.mean[0], "predicted_std": predicted.std[0]}
-        pairs |= {"force": tick.guided.force[0], "action": tick.action[0]}
+        force = tick.guided.force[0]
+        pairs |= {"force": force, "felt": force if self.felt is None else self.felt(), "action": tick.action[0]}
         row |= {
             f"{name}_{axis}": float(value)
             for name, pair in pairs.items()
@@ -129,12 +157,31 @@ class TickLog:
         self.round += ended
         return self.rows[-1]
 
+    def take(self) -> list[dict[str, float]]:
+        """The rows that have not been taken yet."""
+        rows, self.rows = self.rows, []
+        return rows
+
     def table(self) -> pd.DataFrame:
         """The rows so far."""
         return pd.DataFrame(self.rows, columns=list(COLUMNS))
 
 
+def read_ticks(file: Path | str) -> pd.DataFrame:
+    """The table of a game that was recorded.
+
+    Raises:
+        ValueError: it is missing, or lacks a column of `COLUMNS`; the message names the file.
+    """
+    if not Path(file).is_file():
+        raise ValueError(f"no such file: {file}")
+    ticks = pd.read_csv(file, sep="\t", na_values=["n/a"], float_precision="round_trip")
+    if absent := [name for name in COLUMNS if name not in ticks]:
+        raise ValueError(f"{file} lacks the columns {', '.join(absent)}")
+    return ticks
+
+
 def demonstration(ticks: pd.DataFrame) -> tuple[Tensor, Tensor]:
     """What user adaptation learns from: observations (ticks, 12) and actions (ticks, 2), float32, of what counted."""
     counted = ticks[ticks["scored"] == 1]
-    return tuple(torch.from_numpy(counted[names].to_numpy(dtype=np.float32)) for names in (STATE, ACTION))
+    return tuple(torch.from_numpy(counted[names].to_numpy(dtype=np.float32, copy=True)) for names in (STATE, ACTION))

@@ -1,9 +1,10 @@
-"""Watch one simulated person play under one condition: what they want, what the models say, and the force.
+"""Watch one person play under one condition: what a simulated person wants, what the models say, and the force.
 
     python -m guidance.watch                              a striker under OAHG (UT), 20 s
     python -m guidance.watch user=wall condition=nhg      somebody else, without guidance
     python -m guidance.watch speed=0.4                    in slow motion
     python -m guidance.watch user=null                    the first person of the study with this seed
+    python -m guidance.watch run=outputs/play/...         a game that was played at the window, again
 
 Writes into its run folder: watch.gif, watch.png (six of its moments) and watch.csv (a row per tick).
 """
@@ -12,6 +13,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from string import ascii_lowercase
+from typing import Any
 
 import hydra
 import numpy as np
@@ -22,17 +24,18 @@ from omegaconf import DictConfig
 from tensordict import TensorDict
 
 from airhockey_marl.cli import InputError, ProgressBar, choices, command, input_errors, require_counts, require_numbers
-from airhockey_marl.files import replacing
+from airhockey_marl.files import found_below, replacing
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
 from airhockey_marl.match import Player
 from airhockey_marl.table import Table
-from guidance.conditions import ADAPTED, OPTIMAL, Condition
+from guidance.conditions import ADAPTED, Condition
 from guidance.drawing import NARROWEST, Scene, draw_sheet, save_film
 from guidance.games import Protocol, Rink, no_force, play_games, streams
 from guidance.models import Models
+from guidance.recording import games_in, load_json
 from guidance.study import NO_CONDITION
-from guidance.ticks import TickLog, overheard_guide
+from guidance.ticks import TickLog, overheard_guide, read_ticks, scene_facts
 from guidance.users import Population, Users, load_mentors, sample_people
 from guidance.users.intention import Intention
 from guidance.users.reaction import check_variant
@@ -43,54 +46,95 @@ MOST_SKILL = 4.0  # standard deviations
 
 @command("watch")
 def main(cfg: DictConfig) -> None:
+    with input_errors():
+        check(cfg, round(1 / Table().tick))
+        again = None if cfg.run is None else recorded(Path(cfg.run), cfg.game, cfg.start, cfg.seconds)
+    torch.set_num_threads(cfg.threads)
+    progress = ProgressBar()
+    ticks, facts = again if again is not None else simulated(cfg, progress)
+    scene = Scene(
+        table=Table(),
+        title=facts["title"],
+        player=facts["player"],
+        opponent=facts["opponent"],
+        used=frozenset(facts["used"]),
+        adapted=facts["adapted"],
+        width=cfg.width,
+        simulated="wanted_x" in ticks,
+    )
+    folder, tick = Path(HydraConfig.get().runtime.output_dir), scene.table.tick
+    with replacing(folder / "watch.csv") as temporary:
+        ticks.to_csv(temporary, index=False, float_format="%.6g")
+    with replacing(folder / "watch.png") as temporary:
+        draw_sheet(ticks, scene).save(temporary)
+    every = round(1 / (tick * cfg.frames_per_second))
+    shown = 10 * round(100 * every * tick / cfg.speed)  # ms; a GIF counts in hundredths of a second
+    with replacing(folder / "watch.gif") as temporary:
+        save_film(temporary, ticks, scene, every, shown, partial(progress, "film"))
+    progress.close()
+    last = ticks.iloc[-1]
+    print(f"{scene.title}: {last['won']:.0f} to {last['lost']:.0f} after {last['time_s']:g} s")
+    print(f"\nfilm: {folder / 'watch.gif'}")
+
+
+def recorded(run: Path, game: str | None, start: float, seconds: float) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """A part of a game that was recorded, and what its film says about it, see `guidance.ticks.scene_facts`.
+
+    Args:
+        run: a game's table (`..._beh.tsv`), or a folder of `guidance.play` or of a person in `guidance.lab`.
+        game: in a folder, which one, by its name; None for the last.
+        start: s, the game's time where the part begins.
+        seconds: of the part.
+
+    Raises:
+        ValueError: there is no such game, or it has nothing at that time.
+    """
+    if run.is_file():
+        file = run.with_suffix(".tsv")
+        facts = load_json(run.with_suffix(".json"))["Facts"]
+    else:
+        games = {
+            name: found
+            for folder in found_below([run], "*_beh.json")
+            for name, found in games_in(folder.parent).items()
+        }
+        if game is not None and game not in games:
+            raise ValueError(f"game = {game} must be one of {', '.join(games)}")
+        chosen = games[list(games)[-1] if game is None else game]
+        file, facts = chosen.file, chosen.facts
+    ticks = read_ticks(file)
+    ticks = ticks[(ticks["time_s"] > start) & (ticks["time_s"] <= start + seconds)].reset_index(drop=True)
+    if ticks.empty:
+        raise ValueError(f"start = {start}: {file} has nothing then")
+    return ticks, facts
+
+
+def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """Let a simulated person play; the game, and what its film says about it."""
     table = Table()
     with input_errors():
-        check(cfg, round(1 / table.tick))
         condition: Condition = hydra.utils.instantiate(cfg.condition)
         protocol: Protocol = hydra.utils.instantiate(cfg.study)
         person, mentors = chosen_person(cfg), load_mentors(cfg.users.mentors)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
         opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
-    torch.set_num_threads(cfg.threads)
-    progress = ProgressBar()
-    asks, adapted = condition.guidance.models(), None
+    adapted = None
 
     def seat(game: int) -> tuple[Users, np.ndarray]:
         """The person, and the table's stream, as in a study's game."""
         minds, serves = (streams(cfg.seed, [0], game, purpose) for purpose in (0, 1))
         return Users(person, minds, table, cfg.users.variant, mentors), serves
 
-    if ADAPTED in asks:
+    if ADAPTED in condition.guidance.models():
         progress("unscored game", 0.0)
         users, serves = seat(NO_CONDITION)
         game = play_games(users, opponent, no_force, protocol, table, serves, keep_demonstrations=True)
         adapted = models.adapted_to(game.demonstrations)
     users, serves = seat(ascii_lowercase.index(condition.letter))
     ticks = play(users, condition, models, adapted, opponent, cfg.guidance.lookahead, table, serves, cfg.seconds)
-
     archetypes = list(cfg.users.population.archetypes)
-    scene = Scene(
-        table=table,
-        title=condition.label,
-        player=f"simulated {archetypes[person['archetype'][0]].replace('_', '-')}",
-        opponent=f"generation {cfg.opponent}",
-        used=frozenset("optimal" if model == OPTIMAL else "predicted" for model in asks),
-        adapted=adapted is not None,
-        width=cfg.width,
-    )
-    folder = Path(HydraConfig.get().runtime.output_dir)
-    with replacing(folder / "watch.csv") as temporary:
-        ticks.to_csv(temporary, index=False, float_format="%.6g")
-    with replacing(folder / "watch.png") as temporary:
-        draw_sheet(ticks, scene).save(temporary)
-    every = round(1 / (table.tick * cfg.frames_per_second))
-    shown = 10 * round(100 * every * table.tick / cfg.speed)  # ms; a GIF counts in hundredths of a second
-    with replacing(folder / "watch.gif") as temporary:
-        save_film(temporary, ticks, scene, every, shown, partial(progress, "film"))
-    progress.close()
-    last = ticks.iloc[-1]
-    print(f"{condition.label}: {last['won']} to {last['lost']} in {last['time_s']:g} s")
-    print(f"\nfilm: {folder / 'watch.gif'}")
+    player = f"simulated {archetypes[person['archetype'][0]].replace('_', '-')}"
+    return ticks, scene_facts(condition, player, f"generation {cfg.opponent}", adapted is not None)
 
 
 def check(cfg: DictConfig, ticks_per_second: int) -> None:
@@ -103,6 +147,7 @@ def check(cfg: DictConfig, ticks_per_second: int) -> None:
     require_counts(cfg, "seed", least=0)
     require_counts(cfg, "width", least=NARROWEST)
     require_numbers(cfg, "seconds", at_most=LONGEST)
+    require_numbers(cfg, "start", least=0.0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     if ticks_per_second % cfg.frames_per_second:
         raise InputError(f"frames_per_second = {cfg.frames_per_second} must divide {ticks_per_second}")

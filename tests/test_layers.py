@@ -9,7 +9,7 @@ ROOT = Path(__file__).resolve().parents[1]
 MODULES = sorted(path for package in ("airhockey_marl", "guidance") for path in (ROOT / package).rglob("*.py"))
 LEAVES = {
     "airhockey_marl": {"table", "policy", "trpo", "samplers", "learner", "files", "cli"},
-    "guidance": {"maml", "forces", "metrics", "stats"},
+    "guidance": {"maml", "forces", "metrics", "stats", "safety", "clock"},
 }
 COMMANDS = {
     *(f"airhockey_marl.{name}" for name in ("train", "league_report", "compare", "grid")),
@@ -24,6 +24,8 @@ COMMANDS = {
             "calibrate",
             "evaluate",
             "replicate",
+            "play",
+            "lab",
         )
     ),
 }

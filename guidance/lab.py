@@ -1,0 +1,209 @@
+"""The paper's experiment for a real person: consent, practice, a game for UA, nine conditions, ratings, rests.
+
+    python -m guidance.lab participant=new                    somebody new, under a random label
+    python -m guidance.lab participant=P01                    P01, from where their session stopped
+    python -m guidance.lab participant=P01 device=mouse       without a haptic device
+    python -m guidance.lab participant=P01 withdraw=true      delete everything of P01
+    python -m guidance.lab participant=S1 device=simulated window=false    a simulated person takes the seat
+    python -m guidance.report runs=outputs/lab/records        the study so far, analysed as any other
+
+The games are those of `guidance.evaluate`, in the same order and under the same forces; the seat is another. Records
+are a folder of their own (`records=`), in the manner of BIDS: what is finished is never lost, see `guidance.records`.
+"""
+
+import hashlib
+import json
+from contextlib import suppress
+from pathlib import Path
+
+import hydra
+import numpy as np
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from airhockey_marl.cli import InputError, command, input_errors, require_counts, require_numbers
+from airhockey_marl.inference import steady
+from airhockey_marl.league import League
+from airhockey_marl.table import Table
+from guidance.clock import HurriedClock, WallClock
+from guidance.devices import DeviceError
+from guidance.games import streams
+from guidance.lsl import open_streams
+from guidance.models import Models
+from guidance.provenance import chosen_conditions, hashes_of, manifest
+from guidance.records import Participant, Records
+from guidance.seat import Dark, Leave, Seat
+from guidance.seating import check_device, open_hand
+from guidance.session import SKIP, Nobody, Plan, Session
+from guidance.study import NO_CONDITION
+from guidance.users import Users, load_mentors, sample_people
+from guidance.users.rating import RATINGS
+from guidance.users.reaction import check_variant
+from guidance.window.pages import Items, Page
+from guidance.window.window import NARROWEST, Window
+
+KEYS = {
+    "space": "pause",
+    "h": "these keys",
+    "f": "full screen",
+    "r": "feel forces again after a safety stop",
+    "esc": "leave; what is finished is kept, and the session goes on from there another time",
+}
+NEW = "new"
+OF_A_SESSION = ("participant", "withdraw", "records", "window", "fullscreen", "width", "lsl")  # and not of the study
+
+
+class Sitter:
+    """A simulated person in the laboratory: who reads everything, and answers as simulated people do.
+
+    Args:
+        person: (1,) see `guidance.users`.
+        place: theirs in the study.
+    """
+
+    def __init__(self, cfg: DictConfig, person: np.ndarray, place: int) -> None:
+        self.cfg, self.person, self.place, self.mentors = cfg, person, place, load_mentors(cfg.users.mentors)
+        self.users = self._in_game(NO_CONDITION)
+
+    def _in_game(self, game: int) -> Users:
+        """As the study has them in this game."""
+        mind = streams(self.cfg.seed, [self.place], game, 0)
+        return Users(self.person, mind, Table(), self.cfg.users.variant, self.mentors)
+
+    def sit_down(self, seat: Seat, game: int) -> None:
+        """Take the seat for a game."""
+        self.users = seat.person = seat.hand.device.users = self._in_game(game)
+
+    def page(self, page: Page) -> str:
+        return SKIP if SKIP in page.keys else next(iter(page.keys))
+
+    def ask(self, items: Items) -> dict[str, int]:
+        ratings = self.users.ratings(OmegaConf.to_container(self.cfg.users.scales))
+        return {name: int(ratings[name][0]) for name in RATINGS}
+
+    def write_down(self, page: Page) -> str:
+        return ""
+
+
+def check(cfg: DictConfig) -> None:
+    """Refuse what no session can be held with.
+
+    Raises:
+        InputError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "participants", "threads", "frames_per_second")
+    require_counts(cfg, "width", least=NARROWEST)
+    require_counts(cfg, "seed", least=0)
+    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
+    require_numbers(cfg, "breath", least=0.0, at_most=10.0)
+    check_device(cfg.device)
+    check_variant(cfg.users.variant)
+    for key in ("withdraw", "window", "fullscreen", "interview", "lsl"):
+        if not isinstance(cfg[key], bool):
+            raise InputError(f"{key} = {cfg[key]} must be true or false")
+    if not cfg.window and cfg.device.kind != "simulated":
+        raise InputError(f"window = false must be true for device = {cfg.device.kind}: somebody looks at it")
+
+
+def facts_of(cfg: DictConfig, models: Models) -> dict:
+    """The manifest of the study; two with other devices, limits or kinds of people are not the same one."""
+    facts = manifest(cfg, hashes_of(cfg, models), "", 0.0)
+    who = "simulated" if cfg.device.kind == "simulated" else "people"
+    how = [facts["study_hash"], OmegaConf.to_container(cfg.device), OmegaConf.to_container(cfg.safety), who]
+    digest = hashlib.sha256(json.dumps(how, sort_keys=True).encode()).hexdigest()
+    # whose session it was is none of the study's business: they may withdraw
+    config = {key: value for key, value in facts["config"].items() if key not in OF_A_SESSION}
+    return facts | {"study_hash": digest, "participants": who, "command": "python -m guidance.lab", "config": config}
+
+
+def plan_of(cfg: DictConfig, models: Models) -> Plan:
+    """What the configuration has everybody do.
+
+    Raises:
+        ValueError: something in it is not valid, or a file is missing.
+    """
+    consent = Path(cfg.consent)
+    if not consent.is_file():
+        raise ValueError(f"consent = {consent} must be a file with a text")
+    return Plan(
+        conditions=chosen_conditions(cfg),
+        models=models,
+        opponent=steady(League.load(cfg.models.opponents).player(cfg.opponent)),
+        opponent_label=f"generation {cfg.opponent}",
+        protocol=hydra.utils.instantiate(cfg.study),
+        lookahead_seconds=cfg.guidance.lookahead,
+        participants=cfg.participants,
+        seed=cfg.seed,
+        consent=consent.read_text(encoding="utf-8"),
+        questions=OmegaConf.to_container(cfg.questions),
+        scale=tuple(cfg.scale),
+        interview=cfg.interview,
+    )
+
+
+@command("lab")
+def main(cfg: DictConfig) -> None:
+    with input_errors():
+        check(cfg)
+        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+        plan, limits = plan_of(cfg, models), hydra.utils.instantiate(cfg.safety)
+        people = sample_people(cfg.participants, cfg.seed, hydra.utils.instantiate(cfg.users.population))
+        records = Records(cfg.records, facts_of(cfg, models))
+    torch.set_num_threads(cfg.threads)
+    with records:
+        if cfg.withdraw:
+            with input_errors():
+                records.withdraw(str(cfg.participant))
+            print(f"{cfg.participant} has withdrawn: everything of theirs in {records.folder} is deleted")
+            return
+        with input_errors():
+            label = None if cfg.participant == NEW else str(cfg.participant)
+            if label not in records.places and len(records.places) >= cfg.participants:
+                raise InputError(f"participants = {cfg.participants}: all places are taken")
+            participant = records.participant(label)
+        print(f"participant {participant.label}, place {participant.place + 1} of {cfg.participants}")
+        sitter = None
+        if cfg.device.kind == "simulated":
+            sitter = Sitter(cfg, people[participant.place : participant.place + 1], participant.place)
+        with suppress(Leave):
+            hold(cfg, plan, participant, limits, sitter)
+    again = "" if len(participant.games) == 1 + len(plan.conditions) else " It goes on with the same command."
+    done = sum(game.ratings is not None for game in participant.games.values())
+    print(f"{participant.label}: {done} of {len(plan.conditions)} games are played and rated.{again}")
+    print(f"\nrecords: {records.folder}")
+
+
+def hold(cfg: DictConfig, plan: Plan, participant: Participant, limits, sitter: Sitter | None) -> None:
+    """Hold one person's session.
+
+    Raises:
+        InputError: the device cannot be opened.
+        Leave: the person wants to go.
+    """
+    clock = WallClock() if cfg.window else HurriedClock()
+    window = None
+    if cfg.window:
+        window = Window("Air hockey", Table(), cfg.width, cfg.frames_per_second, clock, KEYS)
+    try:
+        try:
+            held = open_hand(cfg.device, limits, sitter and sitter.users)
+        except (ValueError, DeviceError) as error:
+            raise InputError(f"device: {error}") from error
+        try:
+            if window is not None:
+                window.pointed, window.unplugged = held.pointed, held.unplugged
+                if cfg.fullscreen:
+                    window.toggle_fullscreen()
+            seat = Seat(held.hand, window or Dark(), clock, Table().tick, cfg.breath if cfg.window else 0.0)
+            events = open_streams() if cfg.lsl else Nobody()
+            seated = (lambda game: sitter.sit_down(seat, game)) if sitter else (lambda game: None)
+            Session(plan, participant, seat, window or sitter, events, seated).run()
+        finally:
+            held.hand.close()
+    finally:
+        if window is not None:
+            window.close()
+
+
+if __name__ == "__main__":
+    main()

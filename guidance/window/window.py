@@ -1,0 +1,249 @@
+"""One pygame window: its frames, its keys and its pages."""
+
+from collections.abc import Callable, Mapping
+from math import hypot
+
+import numpy as np
+import pygame
+
+from airhockey_marl.render import COLOURS
+from airhockey_marl.table import LEFT, RIGHT, Table
+from guidance.clock import Clock
+from guidance.drawing import FORCE, GREY, INK, PAPER
+from guidance.seat import Leave, Moment
+from guidance.window.arena import Arena
+from guidance.window.pages import Items, Page
+from guidance.window.paint import forget, veil, write
+
+BAR, FOOT, EDGE = 54, 54, 16  # px
+NARROWEST = 800  # px: there, the longest texts still fit
+FADED = (90, 96, 104)
+PRESSES = (pygame.KEYDOWN, pygame.MOUSEBUTTONDOWN, pygame.JOYBUTTONDOWN)
+HELD_BACK = {pygame.K_LSHIFT, pygame.K_RSHIFT, pygame.K_LCTRL, pygame.K_RCTRL, pygame.K_LALT, pygame.K_RALT}
+
+
+class Window:
+    """What a person looks at, and whose keys they press.
+
+    Args:
+        width: of the table, pixels.
+        frames_per_second: pictures drawn.
+        keys: what the keys do, for the help; `o` (targets) does something only if it is among them.
+
+    Attributes:
+        pointed: is told the action (2,) under the pointer.
+        unplugged: is told the number of a gamepad that is gone.
+        next_frame, cost, attentive: as `guidance.seat.Screen` has them.
+        overlay: whether the models' targets are shown.
+        frame_times: s between one picture and the next.
+    """
+
+    def __init__(
+        self,
+        title: str,
+        table: Table,
+        width: int,
+        frames_per_second: int,
+        clock: Clock,
+        keys: Mapping[str, str],
+    ) -> None:
+        pygame.display.init()
+        pygame.font.init()
+        pygame.joystick.init()
+        pygame.display.set_caption(title)
+        pygame.display.set_mode((width, width // 2))  # colours are of a display: there must be one to draw with
+        self.arena = Arena(table, width)
+        self.size = (width, BAR + self.arena.size[1] + FOOT)
+        self.surface = self._open(fullscreen=False)
+        self._table_surface = self.surface.subsurface((0, BAR, *self.arena.size))
+        self.clock, self.keys = clock, keys
+        self.pointed: Callable[[np.ndarray], None] = lambda action: None
+        self.unplugged: Callable[[int], None] = lambda number: None
+        self.interval = 1.0 / frames_per_second
+        self.next_frame, self.cost = clock.now(), 0.0
+        self.overlay, self.helping, self.frame_times = False, False, []
+        self._last_frame, self._pressed, self._leave, self._focused = None, [], False, True
+
+    def _open(self, fullscreen: bool) -> pygame.Surface:
+        full = pygame.FULLSCREEN | pygame.SCALED if fullscreen else 0
+        surface = pygame.display.set_mode(self.size, full)
+        pygame.mouse.set_visible(not fullscreen)
+        return surface
+
+    @property
+    def attentive(self) -> bool:
+        """Whether the window has the keyboard, and the help does not cover the game."""
+        return self._focused and not self.helping
+
+    def poll(self) -> None:
+        """Take note of what was pressed, and of where the pointer is."""
+        for event in pygame.event.get():
+            if event.type == pygame.QUIT:
+                self._leave = True
+            elif event.type in (pygame.WINDOWFOCUSLOST, pygame.WINDOWFOCUSGAINED):
+                self._focused = event.type == pygame.WINDOWFOCUSGAINED
+            elif event.type == pygame.JOYDEVICEREMOVED:
+                self.unplugged(event.instance_id)
+            elif event.type in PRESSES and getattr(event, "key", None) not in HELD_BACK:
+                self._pressed.append(event)
+        x, y = pygame.mouse.get_pos()
+        self.pointed(self.arena.action_at((x, y - BAR)))
+
+    def frame(self, moment: Moment) -> list[str]:
+        """Show a moment; returns the keys pressed since the last one, but those that are the window's own.
+
+        Raises:
+            Leave: the window was closed, or escape pressed.
+        """
+        began = self.clock.now()
+        keys = [key for key in self._take() if not self._own(key)]
+        self.surface.fill(PAPER)
+        self.arena.draw(self._table_surface, moment, self.overlay)
+        self._draw_bar(moment)
+        self._draw_foot(moment)
+        if moment.note:
+            self._draw_note(moment.note)
+        if self.helping:
+            Page("Keys", "", self.keys).draw(self.surface)
+        self._flip(began)
+        return keys
+
+    def page(self, page: Page) -> str:
+        """Show a page until one of its keys is pressed; returns it.
+
+        Raises:
+            Leave: the window was closed, or escape pressed where the page has no use for it.
+        """
+        while True:
+            self._wait()
+            for key in self._take(escape="escape" not in page.keys):
+                if key in page.keys:
+                    return key
+            page.draw(self.surface)
+            self._flip(self.clock.now())
+
+    def ask(self, items: Items) -> dict[str, int]:
+        """Show a questionnaire until every item is answered and confirmed; returns the answers."""
+        while True:
+            self._wait()
+            self.poll()
+            for event in self._events():
+                if event.type == pygame.MOUSEBUTTONDOWN:
+                    items.click(event.pos, self.surface.get_size())
+                elif event.type == pygame.KEYDOWN:
+                    items.press(pygame.key.name(event.key))
+            if items.confirmed:
+                return items.answers
+            items.draw(self.surface)
+            self._flip(self.clock.now())
+
+    def write_down(self, page: Page) -> str:
+        """Show a page with a line to write on, until return is pressed; returns what was written."""
+        text = ""
+        while True:
+            self._wait()
+            self.poll()
+            for event in self._events():
+                if event.type != pygame.KEYDOWN:
+                    continue
+                if event.key in (pygame.K_RETURN, pygame.K_KP_ENTER):
+                    return text.strip()
+                text = text[:-1] if event.key == pygame.K_BACKSPACE else text + event.unicode
+                text = "".join(letter for letter in text if letter.isprintable())
+            page.draw(self.surface, typed=text)
+            self._flip(self.clock.now())
+
+    def screenshot(self) -> np.ndarray:
+        """(height, width, 3) uint8."""
+        return pygame.surfarray.array3d(self.surface).swapaxes(0, 1)
+
+    def close(self) -> None:
+        forget()
+        pygame.quit()
+
+    def _events(self) -> list[pygame.event.Event]:
+        pressed, self._pressed = self._pressed, []
+        if self._leave or any(event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE for event in pressed):
+            self._leave = False
+            raise Leave
+        return pressed
+
+    def _take(self, escape: bool = True) -> list[str]:
+        """Names of the keys that were pressed; the first button of a gamepad is space."""
+        self.poll()
+        names = []
+        pressed = self._events() if escape else self._pressed
+        if not escape:
+            self._pressed = []
+        for event in pressed:
+            if event.type == pygame.KEYDOWN:
+                names.append(pygame.key.name(event.key))
+            elif event.type == pygame.JOYBUTTONDOWN:
+                names.append("space" if event.button == 0 else f"button {event.button}")
+        return names
+
+    def _own(self, key: str) -> bool:
+        if key == "o" and "o" in self.keys:
+            self.overlay = not self.overlay
+        elif key in ("h", "f1") or (key == "space" and self.helping):
+            self.helping = not self.helping
+        elif key in ("f", "f11"):
+            self.toggle_fullscreen()
+        else:
+            return False
+        return True
+
+    def toggle_fullscreen(self) -> None:
+        """Fill the screen, or be a window again; where a display can do neither, nothing happens."""
+        fullscreen = not pygame.display.is_fullscreen()
+        try:
+            self.surface = self._open(fullscreen)
+        except pygame.error:
+            self.surface = self._open(False)
+        self._table_surface = self.surface.subsurface((0, BAR, *self.arena.size))
+
+    def _wait(self) -> None:
+        self.clock.wait(self.next_frame - self.clock.now())
+
+    def _flip(self, began: float) -> None:
+        pygame.display.flip()
+        now = self.clock.now()
+        self.cost += 0.1 * (now - began - self.cost)
+        if self._last_frame is not None:
+            self.frame_times.append(now - self._last_frame)
+        self._last_frame = now
+        self.next_frame += self.interval
+        if self.next_frame < now:  # pictures that were missed are not made up for
+            self.next_frame = now
+
+    def _draw_bar(self, moment: Moment) -> None:
+        middle, line = self.size[0] / 2, BAR / 2
+        write(self.surface, moment.title, (EDGE, line), 19, INK, bold=True)
+        write(self.surface, str(moment.won), (middle - 16, line), 26, COLOURS[LEFT], True, "midright")
+        write(self.surface, ":", (middle, line), 26, INK, True, "center")
+        write(self.surface, str(moment.lost), (middle + 16, line), 26, COLOURS[RIGHT], True, "midleft")
+        minutes, seconds = divmod(int(moment.seconds), 60)
+        write(self.surface, f"{minutes}:{seconds:02d}", (self.size[0] - EDGE, line), 19, INK, True, "midright")
+
+    def _draw_foot(self, moment: Moment) -> None:
+        line, newtons = self.size[1] - FOOT / 2, hypot(*moment.force)
+        write(self.surface, f"force {newtons:.1f} N", (EDGE, line), 14, FORCE if newtons else FADED, bold=True)
+        left = EDGE + 110
+        for name, weight in moment.weights.items():
+            left = write(self.surface, name, (left, line), 14, INK).right + 6
+            for share, colour in ((1.0, GREY), (weight, FORCE)):
+                pygame.draw.rect(self.surface, colour, (left, line - 6, 70 * share, 12))
+            left += 70 + EDGE
+        hint = "   ".join(f"{key} {what}" for key, what in self.hints().items())
+        write(self.surface, hint, (self.size[0] - EDGE, line), 14, FADED, anchor="midright")
+
+    def hints(self) -> dict[str, str]:
+        """The keys that the foot reminds of."""
+        return {"h": "help", "space": "pause", "esc": "leave"}
+
+    def _draw_note(self, note: str) -> None:
+        box = pygame.Rect(0, 0, 0, 46)
+        box.width = min(60 + 12 * len(note), self.size[0])
+        box.center = (self.size[0] // 2, BAR + self.arena.size[1] // 2)
+        veil(self.surface, box, (*PAPER, 225))
+        write(self.surface, note, box.center, 20, INK, True, "center")
