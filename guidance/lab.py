@@ -32,7 +32,8 @@ from guidance.lsl import open_streams
 from guidance.models import Models
 from guidance.provenance import chosen_conditions, hashes_of, manifest
 from guidance.records import Participant, Records
-from guidance.seat import Dark, Leave, Seat
+from guidance.safety import Limits
+from guidance.seat import Dark, Leave, Seat, leaving_when_told
 from guidance.seating import check_device, open_hand
 from guidance.session import SKIP, Nobody, Plan, Session
 from guidance.study import NO_CONDITION
@@ -165,16 +166,19 @@ def main(cfg: DictConfig) -> None:
         sitter = None
         if cfg.device.kind == "simulated":
             sitter = Sitter(cfg, people[participant.place : participant.place + 1], participant.place)
-        with suppress(Leave):
-            hold(cfg, plan, participant, limits, sitter)
+        with suppress(Leave), leaving_when_told():
+            if not hold(cfg, plan, participant, limits, sitter):
+                records.withdraw(participant.label)
+                print(f"{participant.label} does not take part; nothing of theirs is kept")
+                return
     again = "" if len(participant.games) == 1 + len(plan.conditions) else " It goes on with the same command."
     done = sum(game.ratings is not None for game in participant.games.values())
     print(f"{participant.label}: {done} of {len(plan.conditions)} games are played and rated.{again}")
     print(f"\nrecords: {records.folder}")
 
 
-def hold(cfg: DictConfig, plan: Plan, participant: Participant, limits, sitter: Sitter | None) -> None:
-    """Hold one person's session.
+def hold(cfg: DictConfig, plan: Plan, participant: Participant, limits: Limits, sitter: Sitter | None) -> bool:
+    """Hold one person's session; whether they take part.
 
     Raises:
         InputError: the device cannot be opened.
@@ -183,7 +187,7 @@ def hold(cfg: DictConfig, plan: Plan, participant: Participant, limits, sitter: 
     clock = WallClock() if cfg.window else HurriedClock()
     window = None
     if cfg.window:
-        window = Window("Air hockey", Table(), cfg.width, cfg.frames_per_second, clock, KEYS)
+        window = Window("Air hockey", Table(), cfg.width, cfg.frames_per_second, clock, KEYS, shows_force=False)
     try:
         try:
             held = open_hand(cfg.device, limits, sitter and sitter.users)
@@ -197,7 +201,7 @@ def hold(cfg: DictConfig, plan: Plan, participant: Participant, limits, sitter: 
             seat = Seat(held.hand, window or Dark(), clock, Table().tick, cfg.breath if cfg.window else 0.0)
             events = open_streams() if cfg.lsl else Nobody()
             seated = (lambda game: sitter.sit_down(seat, game)) if sitter else (lambda game: None)
-            Session(plan, participant, seat, window or sitter, events, seated).run()
+            return Session(plan, participant, seat, window or sitter, events, seated).run()
         finally:
             held.hand.close()
     finally:

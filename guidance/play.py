@@ -31,7 +31,7 @@ from guidance.models import Models
 from guidance.provenance import chosen_conditions
 from guidance.recording import Game, Recording
 from guidance.safety import Limits
-from guidance.seat import Leave, Seat
+from guidance.seat import Leave, Seat, leaving_when_told
 from guidance.seating import check_device, open_hand
 from guidance.study import NO_CONDITION
 from guidance.ticks import COLUMNS, TickLog, demonstration, overheard_guide, scene_facts
@@ -113,7 +113,7 @@ class Play:
         if ended[0]:
             self._round_ticks = 0
             self._save()
-            self._say("out of time" if out_of_time else "goal!" if tick.goals[0] > 0 else "goal against you", 1.0)
+            self._say("out of time" if out_of_time else "goal!" if tick.goals[0] > 0 else "goal against you", 0.0)
             self.rink.new_rounds(ended)
 
     def press(self, key: str) -> None:
@@ -128,7 +128,7 @@ class Play:
     def choose(self, condition: Condition) -> None:
         """Go on under another condition."""
         if ADAPTED in condition.guidance.models() and self.adapted is None:
-            self._say(f"{condition.label} needs your own model: play without guidance (1), then press a")
+            self._say(f"{condition.label} needs a model of you: play without guidance (1), then press a")
         elif condition.name != self.condition.name:
             self._end()
             self._begin(condition)
@@ -247,7 +247,8 @@ def main(cfg: DictConfig) -> None:
             seat = Seat(held.hand, window, clock, table.tick, cfg.breath, person)
             how = cfg.guidance.lookahead, protocol.round_seconds
             play = Play(conditions, models, opponents, cfg.opponent, *how, seat, serves, folder)
-            play.run(begin_with, cfg.seconds)
+            with leaving_when_told():
+                play.run(begin_with, cfg.seconds)
         finally:
             held.hand.close()
     finally:

@@ -5,7 +5,9 @@ there. A tick begins with a look at the table and at the hand, the force is on i
 held until the next tick is due; in between the screen is drawn.
 """
 
-from collections.abc import Iterable
+import signal
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -18,11 +20,27 @@ from guidance.users import Users
 from guidance.users.arm import HAND_REACH
 
 SERVO_STEP = 0.001  # s: what a virtual device's time is counted in
+PATIENCE = 0.05  # s that a picture waits at most
 NO_FORCE = (0.0, 0.0)
 
 
 class Leave(Exception):
     """The person wants to go."""
+
+
+@contextmanager
+def leaving_when_told() -> Iterator[None]:
+    """In this block, SIGTERM and SIGINT are the person's wish to go: the game is saved, and the device let go of."""
+
+    def leave(signum: int, frame: object) -> None:
+        raise Leave
+
+    before = {number: signal.signal(number, leave) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 class Hand(Protocol):
@@ -184,7 +202,9 @@ class Seat:
             passed = min(int((now - begun) / SERVO_STEP), self._steps)
             hand.advance(passed - done, state[0])
             done = max(passed, done)
-            if now >= screen.next_frame and self._due - now > screen.cost:  # a picture must not make a tick late
+            # a picture must not make a tick late; but where none would ever fit, seeing something comes first
+            fits = self._due - now > screen.cost or now - screen.next_frame > PATIENCE
+            if now >= screen.next_frame and fits:
                 moment.share = (now - begun) / self.tick_seconds
                 if self._picture() or not screen.attentive:
                     self.pause()

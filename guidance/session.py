@@ -6,6 +6,7 @@ goes on with the first thing that is not.
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from math import ceil
 from string import ascii_lowercase
 from typing import Protocol as Interface
 
@@ -228,7 +229,7 @@ class Session:
         moment = self.seat.moment
         moment.won, moment.lost, moment.seconds = log.won, log.lost, row["time_s"]
         left = self.plan.protocol.familiarisation - row["time_s"]
-        moment.note = f"the game begins in {left:.0f} s" if not scored and left < 4 else ""
+        moment.note = f"the game begins in {ceil(left)} s" if not scored and 0 < left < 4 else ""
         if began:
             self.events.mark("scored")
         if row["goal"]:

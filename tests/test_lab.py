@@ -6,7 +6,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from contextlib import redirect_stderr, redirect_stdout, suppress
+from contextlib import redirect_stderr, redirect_stdout
 from io import StringIO
 from pathlib import Path
 
@@ -14,19 +14,9 @@ import numpy as np
 import pandas as pd
 import pygame
 import pytest
-from hydra import compose, initialize_config_dir
 
-from airhockey_marl.cli import CONF
-from airhockey_marl.table import Table
 from guidance import evaluate, lab, report
 from guidance.clock import HurriedClock
-from guidance.devices.simulated import Simulated
-from guidance.models import Models
-from guidance.records import Records
-from guidance.safety import Limits
-from guidance.seat import Leave, Seat
-from guidance.servo import Inline
-from guidance.session import Nobody, Session
 from guidance.ticks import read_ticks
 from guidance.users.rating import RATINGS
 from guidance.window.window import NARROWEST, Window
@@ -138,92 +128,84 @@ def test_a_session_that_is_killed_goes_on_and_ends_like_one_that_was_not(two, tm
         assert file.read_bytes() == (two / "records" / "sub-S1" / "beh" / file.name).read_bytes()
 
 
-class Experimenter(HurriedClock):
-    """Somebody at the keyboard of a window, in the window's time: reads pages, answers questions, and looks."""
+class Reader(Window):
+    """A window before which somebody presses the right keys: it remembers what it showed.
 
-    def __init__(self) -> None:
-        super().__init__()
-        self.script: list[tuple[str, ...]] = []
+    Attributes:
+        answer: keys that are pressed on a page that has them, before any other of its keys.
+        leave_at: s, when escape is pressed in a game.
+    """
 
-    def post(self, *keys: str) -> None:
+    answer: tuple[str, ...] = ("y", "return")
+    leave_at: float = float("inf")
+
+    def __init__(self, *how, **more) -> None:
+        super().__init__(*how, **more)
+        self.read, self.titles = [], set()
+        Reader.last = self
+
+    def press(self, *keys: str) -> None:
         for key in keys:
             text = key if len(key) == 1 else ""
-            event = pygame.event.Event(pygame.KEYDOWN, key=pygame.key.key_code(key), unicode=text, mod=0)
-            pygame.event.post(event)
-
-
-class Reader(Window):
-    """A window whose pages are pressed through; what they showed is remembered."""
+            code = pygame.key.key_code(key)
+            pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=code, unicode=text, mod=0))
 
     def page(self, page) -> str:
         self.read.append((page.title, page.text))
-        self.clock.post(next(key for key in (*self.answer, *page.keys) if key in page.keys))
+        self.press(next(key for key in (*self.answer, *page.keys) if key in page.keys))
         return super().page(page)
 
     def ask(self, items) -> dict[str, int]:
         self.read.append((items.title, " ".join(items.items.values())))
-        self.clock.post("3", "4", "5", "6", "return")
+        self.press("3", "4", "5", "6", "return")
         return super().ask(items)
 
     def write_down(self, page) -> str:
-        self.clock.post("o", "k", "return")
+        self.press("o", "k", "return")
         return super().write_down(page)
 
     def frame(self, moment) -> list[str]:
         self.titles.add(moment.title)
-        if "Practice" in moment.title and moment.seconds == 0 and self.clock.now() > 1.0:
-            self.clock.post("return")
-        if self.leave_at is not None and self.clock.now() > self.leave_at:
-            self.clock.post("escape")
+        if "Practice" in moment.title and self.clock.now() > 1.0:
+            self.press("return")
+        if self.clock.now() > self.leave_at:
+            self.press("escape")
         return super().frame(moment)
 
 
 @pytest.fixture
-def at_a_window(tmp_path):
-    """A session of the second participant at a window, begun or gone on with."""
-    with initialize_config_dir(str(CONF), version_base=None):
-        overrides = ["device=simulated", "participant=P1", "+preset=smoke", f"records={tmp_path}/records"]
-        cfg = compose("lab", overrides)
-    models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-    plan = lab.plan_of(cfg, models)
-    people = lab.sample_people(cfg.participants, cfg.seed, lab.hydra.utils.instantiate(cfg.users.population))
+def at_a_window(monkeypatch, tmp_path):
+    """P1's session at a window, as the command holds it, but for the clock."""
+    monkeypatch.setattr(lab, "WallClock", HurriedClock)
+    monkeypatch.setattr(lab, "Window", Reader)
 
-    def session(answer: tuple[str, ...] = ("y", "return"), leave_at: float | None = None) -> tuple[Reader, bool | None]:
-        clock, taken = Experimenter(), None
-        window = Reader("test", Table(), NARROWEST, 60, clock, lab.KEYS)
-        window.read, window.titles, window.answer, window.leave_at = [], set(), answer, leave_at
-        try:
-            with Records(cfg.records, {"study_hash": "x", "seed": 1, "participants": "simulated"}) as records:
-                sitter = lab.Sitter(cfg, people[1:2], 1)
-                hand = Inline(Simulated(sitter.users), Limits())
-                seat = Seat(hand, window, clock, Table().tick, breath=0.2)
-                participant = records.participant("P1")
-                with suppress(Leave):
-                    taken = Session(
-                        plan, participant, seat, window, Nobody(), lambda game: sitter.sit_down(seat, game)
-                    ).run()
-        finally:
-            window.close()
-        return window, taken
+    def session(**habits) -> tuple[Reader, str]:
+        for name, value in habits.items():
+            monkeypatch.setattr(Reader, name, value)
+        where = f"records={tmp_path}/records", f"hydra.run.dir={tmp_path}/run"
+        how = "device=simulated", "+preset=smoke", "participant=P1", "breath=0.2", f"width={NARROWEST}"
+        code, said, complained = here(lab.main, *how, *where)
+        assert code == 0, complained
+        return Reader.last, said
 
     return session, tmp_path / "records"
 
 
 def test_who_does_not_consent_plays_nothing(at_a_window):
     session, folder = at_a_window
-    window, taken = session(answer=("n",))
-    assert taken is False and [title for title, _ in window.read] == ["Before you take part"]
-    assert not list(folder.rglob("*_beh.*")) and not list(folder.rglob("*consent*"))
+    window, said = session(answer=("n",))
+    assert "P1 does not take part" in said and [title for title, _ in window.read] == ["Before you take part"]
+    assert not list(folder.glob("sub-*")) and "P1" not in (folder / "participants.tsv").read_text()
 
 
 def test_a_session_at_a_window_shows_every_page_and_never_the_condition(at_a_window):
     session, folder = at_a_window
-    window, taken = session(leave_at=30.0)  # in some game
-    assert taken is None
+    window, said = session(leave_at=30.0)  # in some game
+    assert "It goes on with the same command." in said
     begun = len(pd.read_csv(folder / "trials.csv"))
     assert 1 <= begun < 9
-    again, taken = session()
-    assert taken is True
+    again, said = session(leave_at=float("inf"))
+    assert "P1: 9 of 9 games are played and rated." in said
     trials = pd.read_csv(folder / "trials.csv")
     assert len(trials) == 9 and (trials[list(RATINGS)] == [3, 4, 5, 6]).all(axis=None)
     (file,) = list(folder.rglob("*acq-nhg_run-*_beh.json"))

@@ -1,7 +1,10 @@
 """The game at the window: keys choose the guidance, play is recorded, the user model becomes the player's own."""
 
 import json
+import signal
+import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -27,7 +30,7 @@ from guidance.seat import Dark, Seat
 from guidance.servo import Inline
 from guidance.ticks import COLUMNS, demonstration, read_ticks
 from guidance.users import Users, sample_people
-from tests.test_cli import start
+from tests.test_cli import ROOT, start
 
 TABLE = Table()
 
@@ -110,7 +113,7 @@ def test_a_guidance_with_ua_waits_for_the_players_own_game(shipped, tmp_path):
         (enough + 62, "x"),
     )
     notes = [note for _, note in screen.moments]
-    assert any("needs your own model" in note for note in notes) and any("s more" in note for note in notes)
+    assert any("needs a model of you" in note for note in notes) and any("s more" in note for note in notes)
     assert any("the user model is yours now" in note for note in notes)
     assert list(game.games) == ["01nhg", "02nhg", "03combhgutuasc"]
     models = shipped[0]
@@ -184,6 +187,19 @@ def test_the_command_plays_in_real_time_and_says_how_it_went(tmp_path):
     assert "01 NHG, generation 55" in done.stdout and f"again: python -m guidance.watch run={tmp_path}" in done.stdout
     description = json.loads(game.file.with_suffix(".json").read_text())
     assert description["felt_x"]["Units"] == "N"
+
+
+def test_who_is_told_to_end_ends_well(tmp_path):
+    command = [sys.executable, "-m", "guidance.play", "device=simulated", "seconds=60", f"hydra.run.dir={tmp_path}"]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    while not list(tmp_path.glob("*_beh.tsv")) and process.poll() is None:
+        time.sleep(0.01)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGTERM)
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode == 0 and "again: python -m guidance.watch" in said
+    (game,) = games_in(tmp_path).values()
+    assert len(game.ticks()) == pytest.approx(game.results["duration_s"] / TABLE.tick)
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ class Screen:
         self.frames.append(self.clock.now())
         self.notes.append(moment.note)
         self.clock.wait(self.cost)
-        self.next_frame += 1 / 60
+        self.next_frame = max(self.next_frame + 1 / 60, self.clock.now())
         assert self.clock.now() < 60, "somebody waits for ever"
         due = [self.keys.pop(at) for at in list(self.keys) if at <= self.clock.now()]
         if "escape" in due:
@@ -82,6 +82,14 @@ def test_no_picture_makes_a_tick_late(cost):
     times = np.array([time for time, _, _ in seat.hand.pushed])
     assert np.allclose(np.diff(times), 0.02, atol=1e-6)
     assert len(seat.screen.frames) >= 100 and seat.late == 0  # and there is one in every tick
+
+
+def test_a_screen_that_is_too_slow_for_any_tick_still_shows_something():
+    seat = seated(cost=0.03)
+    for _ in range(200):
+        seat.step(STATE, FORCE)
+    apart = np.diff(seat.screen.frames)
+    assert len(apart) > 20 and apart.max() < 0.2
 
 
 def test_time_that_was_lost_is_not_made_up_for():

@@ -9,7 +9,7 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airhockey_marl.render import COLOURS
+from airhockey_marl.render import COLOURS, FELT
 from airhockey_marl.table import LEFT, PUCK, RIGHT, Table
 from guidance.clock import HurriedClock
 from guidance.conditions import Target
@@ -92,6 +92,22 @@ def test_the_arrow_is_the_force(window, force):
     assert abs(hypot(right, down) - hypot(*force) * ARROW * window.arena.scale) < 4
     foot = picture[BAR + window.arena.size[1] :]
     assert (foot == FORCE).all(axis=2).sum() > 50  # and in newtons
+
+
+def test_an_experiment_does_not_show_what_is_to_be_felt(window):
+    window.shows_force = False
+    now = moment(force=np.array([2.0, 1.0]), weights={"W_sim": 0.5})
+    without = moment(force=np.zeros(2))
+    assert np.array_equal(shown(window, now), shown(window, without))
+
+
+def test_a_serve_leaves_no_trail_across_the_table(window):
+    window.frame(moment())
+    served = STATE.copy()
+    served[8:10] = -0.4, -0.4
+    window.frame(moment(state=served))
+    picture = window.screenshot().astype(int)
+    assert colour_at(window, picture, -0.1, -0.05) == FELT
 
 
 def test_targets_are_shown_when_asked_for_and_only_where_they_may_be(window):

@@ -14,7 +14,8 @@ from guidance.drawing import ARROW, CORNERS, FORCE, PAPER, TARGETS, WANTED, Mark
 from guidance.seat import Moment
 from guidance.window.paint import Place, picture_of, smooth_polygon
 
-TRAIL = 15  # ticks of the puck's way
+TRAIL = 15  # pictures of the puck's way
+LEAP = 0.4  # m from picture to picture: no puck is so fast, it was served
 BODIES = (LEFT, RIGHT, PUCK)  # in the order in which a state has them
 
 
@@ -23,6 +24,7 @@ class Arena:
 
     Attributes:
         size: width and height in pixels.
+        marks: of the models' targets, by model.
     """
 
     def __init__(self, table: Table, width: int) -> None:
@@ -33,7 +35,7 @@ class Arena:
         self.size = self._table.get_size()
         radii = {LEFT: table.paddle_radius, RIGHT: table.paddle_radius, PUCK: table.puck_radius}
         self._bodies = {body: self._disc(radius, body) for body, radius in radii.items()}
-        self._marks = {model: self._mark(model) for model in TARGETS}
+        self.marks = {model: self._mark(model) for model in TARGETS}
         self._way: list[Place] = []
 
     def pixel(self, place: np.ndarray) -> Place:
@@ -51,12 +53,12 @@ class Arena:
         place = (np.array(pixel) - origin) / self.scale * np.array([1.0, -1.0])
         return (place - self.middle) / self.half
 
-    def draw(self, surface: pygame.Surface, moment: Moment, overlay: bool) -> None:
-        """Draw a moment, with the models' targets if `overlay` says so."""
+    def draw(self, surface: pygame.Surface, moment: Moment, overlay: bool, force: bool) -> None:
+        """Draw a moment, with the models' targets if `overlay` says so, and the force if `force` does."""
         surface.blit(self._table, (0, 0))
         then, now = moment.last.reshape(3, 4)[:, :2], moment.state.reshape(3, 4)[:, :2]
         places = [self.pixel(place) for place in then + moment.share * (now - then)]
-        self._draw_way(surface, places[2], jumped=bool(np.abs(then - now).max() > 0.5))
+        self._draw_way(surface, places[2])
         if overlay:
             for model, target in (("optimal", moment.optimal), ("predicted", moment.predicted)):
                 if target is not None:
@@ -67,10 +69,12 @@ class Arena:
         hand = self.of_action(moment.hand)
         pygame.draw.aaline(surface, WANTED, places[0], hand)
         pygame.draw.aacircle(surface, WANTED, hand, 0.011 * self.scale, 3)
-        self._draw_force(surface, places[0], moment.force)
+        if force:
+            self._draw_force(surface, places[0], moment.force)
 
-    def _draw_way(self, surface: pygame.Surface, puck: Place, jumped: bool) -> None:
-        self._way = [puck] if jumped else [*self._way[-TRAIL:], puck]
+    def _draw_way(self, surface: pygame.Surface, puck: Place) -> None:
+        served = self._way and hypot(puck[0] - self._way[-1][0], puck[1] - self._way[-1][1]) > LEAP * self.scale
+        self._way = [puck] if served else [*self._way[-TRAIL:], puck]
         if len(self._way) > 1:
             colour = tuple((2 * ground + ink) // 3 for ground, ink in zip(FELT, COLOURS[PUCK], strict=True))
             for start, end in pairwise(self._way):
@@ -84,7 +88,7 @@ class Arena:
             pygame.draw.ellipse(layer, (*TARGETS[model], 45), layer.get_rect())
             pygame.draw.ellipse(layer, (*TARGETS[model], 170), layer.get_rect(), 2)
             surface.blit(layer, layer.get_rect(center=self.of_action(mean)))
-        mark = self._marks[model]
+        mark = self.marks[model]
         inside = np.clip(self.of_action(mean), 10, np.array(self.size) - 10)  # a model may want more than there is
         surface.blit(mark, mark.get_rect(center=tuple(inside)))
 

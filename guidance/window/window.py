@@ -13,7 +13,7 @@ from guidance.drawing import FORCE, GREY, INK, PAPER
 from guidance.seat import Leave, Moment
 from guidance.window.arena import Arena
 from guidance.window.pages import Items, Page
-from guidance.window.paint import forget, veil, write
+from guidance.window.paint import forget, letters, veil, write
 
 BAR, FOOT, EDGE = 54, 54, 16  # px
 NARROWEST = 800  # px: there, the longest texts still fit
@@ -28,6 +28,7 @@ class Window:
     Args:
         width: of the table, pixels.
         frames_per_second: pictures drawn.
+        shows_force: whether the force and its weights are to be seen; in an experiment they are to be felt.
         keys: what the keys do, for the help; `o` (targets) does something only if it is among them.
 
     Attributes:
@@ -46,6 +47,7 @@ class Window:
         frames_per_second: int,
         clock: Clock,
         keys: Mapping[str, str],
+        shows_force: bool = True,
     ) -> None:
         pygame.display.init()
         pygame.font.init()
@@ -56,7 +58,7 @@ class Window:
         self.size = (width, BAR + self.arena.size[1] + FOOT)
         self.surface = self._open(fullscreen=False)
         self._table_surface = self.surface.subsurface((0, BAR, *self.arena.size))
-        self.clock, self.keys = clock, keys
+        self.clock, self.keys, self.shows_force = clock, keys, shows_force
         self.pointed: Callable[[np.ndarray], None] = lambda action: None
         self.unplugged: Callable[[int], None] = lambda number: None
         self.interval = 1.0 / frames_per_second
@@ -98,7 +100,7 @@ class Window:
         began = self.clock.now()
         keys = [key for key in self._take() if not self._own(key)]
         self.surface.fill(PAPER)
-        self.arena.draw(self._table_surface, moment, self.overlay)
+        self.arena.draw(self._table_surface, moment, self.overlay, self.shows_force)
         self._draw_bar(moment)
         self._draw_foot(moment)
         if moment.note:
@@ -222,14 +224,18 @@ class Window:
         write(self.surface, str(moment.won), (middle - 16, line), 26, COLOURS[LEFT], True, "midright")
         write(self.surface, ":", (middle, line), 26, INK, True, "center")
         write(self.surface, str(moment.lost), (middle + 16, line), 26, COLOURS[RIGHT], True, "midleft")
+        left = middle + 70
+        for model, mark in self.arena.marks.items() if self.overlay else ():
+            left = self.surface.blit(mark, mark.get_rect(midleft=(left, line))).right + 2
+            left = write(self.surface, model, (left, line), 14, INK).right + 10
         minutes, seconds = divmod(int(moment.seconds), 60)
         write(self.surface, f"{minutes}:{seconds:02d}", (self.size[0] - EDGE, line), 19, INK, True, "midright")
 
     def _draw_foot(self, moment: Moment) -> None:
-        line, newtons = self.size[1] - FOOT / 2, hypot(*moment.force)
-        write(self.surface, f"force {newtons:.1f} N", (EDGE, line), 14, FORCE if newtons else FADED, bold=True)
-        left = EDGE + 110
-        for name, weight in moment.weights.items():
+        line, left, newtons = self.size[1] - FOOT / 2, EDGE + 110, hypot(*moment.force)
+        if self.shows_force:
+            write(self.surface, f"force {newtons:.1f} N", (EDGE, line), 14, FORCE if newtons else FADED, bold=True)
+        for name, weight in moment.weights.items() if self.shows_force else ():
             left = write(self.surface, name, (left, line), 14, INK).right + 6
             for share, colour in ((1.0, GREY), (weight, FORCE)):
                 pygame.draw.rect(self.surface, colour, (left, line - 6, 70 * share, 12))
@@ -242,8 +248,9 @@ class Window:
         return {"h": "help", "space": "pause", "esc": "leave"}
 
     def _draw_note(self, note: str) -> None:
-        box = pygame.Rect(0, 0, 0, 46)
-        box.width = min(60 + 12 * len(note), self.size[0])
+        room = self.size[0] - 4 * EDGE
+        size = next((size for size in range(20, 9, -1) if letters(note, size, INK, True).get_width() <= room), 10)
+        box = letters(note, size, INK, True).get_rect().inflate(2 * EDGE, 24)
         box.center = (self.size[0] // 2, BAR + self.arena.size[1] // 2)
         veil(self.surface, box, (*PAPER, 225))
-        write(self.surface, note, box.center, 20, INK, True, "center")
+        write(self.surface, note, box.center, size, INK, True, "center")

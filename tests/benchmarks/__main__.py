@@ -41,6 +41,8 @@ from guidance.user_model import prediction_loss
 from guidance.users import Users, load_mentors, personal_streams, sample_people
 from tests.benchmarks.peer_maml import peer_maml
 from tests.benchmarks.peer_trpo import peer_frames
+from tests.benchmarks.seat import seat_punctuality
+from tests.benchmarks.servo import servo_jitter
 
 
 def seconds(task: Callable[[], object], runs: int = 5) -> float:
@@ -227,6 +229,9 @@ def main() -> None:
         "people_tick_180_ms": round(people_tick(180), 3),
         "people_tick_10000_over_180_per_person": round(people_tick(10_000) / people_tick(180) * 180 / 10_000, 2),
         "study_20_users_s": round(study(), 1),
+        **{f"window_{name}": value for name, value in seat_punctuality().items()},
+        **{f"servo_idle_{name}": value for name, value in servo_jitter(busy=False).items()},
+        **{f"servo_beside_a_busy_core_{name}": value for name, value in servo_jitter(busy=True).items()},
     }
     print(json.dumps(figures, indent=2))
 

@@ -1,0 +1,62 @@
+"""How punctual a game at the window is: pictures, and the way from the state to the force."""
+
+import os
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import torch
+from hydra import compose, initialize_config_dir
+
+from airhockey_marl.cli import CONF
+from airhockey_marl.league import League
+from airhockey_marl.table import Table
+from guidance.clock import WallClock
+from guidance.devices.simulated import Simulated
+from guidance.games import streams
+from guidance.models import Models
+from guidance.play import Play
+from guidance.provenance import chosen_conditions
+from guidance.safety import Limits
+from guidance.seat import Seat
+from guidance.servo import Inline
+from guidance.users import Users, sample_people
+from guidance.window.window import Window
+
+WARM_UP = 100  # ticks and pictures at the beginning that are not counted: the first ones compile
+
+
+def seat_punctuality(seconds: float = 20.0) -> dict[str, float]:
+    """Play CombHG (UT+UA+SC), which asks two models, on a screen that nobody sees.
+
+    Returns:
+        ms: median and 99th percentile of the time between pictures, between the look at the table and the force, and
+        between forces; and how many ticks came more than a tick too late.
+    """
+    os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
+    torch.set_num_threads(1)
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("evaluate")
+    models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+    conditions = {condition.letter: condition for condition in chosen_conditions(cfg)}
+    clock, table = WallClock(), Table()
+    person = Users(sample_people(1, 0), streams(0, [0], 0, 0), table)
+    window = Window("benchmark", table, 1100, 60, clock, {"o": "targets"})
+    window.overlay = True
+    seat = Seat(Inline(Simulated(person), Limits()), window, clock, table.tick, breath=0.0, person=person)
+    pushes, push = [], seat.hand.push
+    seat.hand.push = lambda force, held=True: (pushes.append(clock.now()), push(force, held))
+    try:
+        with tempfile.TemporaryDirectory() as folder:
+            how = 0.1, 60.0, seat, streams(0, [0], 0, 1), Path(folder)
+            play = Play(conditions, models, League.load(cfg.models.opponents), cfg.opponent, *how)
+            play.adapted = models.adapted_to([(torch.randn(500, 12), torch.randn(500, 2))])
+            play.run(conditions["i"], seconds)
+    finally:
+        window.close()
+    times = {"frame": window.frame_times, "force_latency": seat.latencies, "force_period": np.diff(pushes)}
+    figures = {"late_ticks": seat.late}
+    for name, values in times.items():
+        p50, p99 = np.percentile(1000 * np.array(values[WARM_UP:]), (50, 99))
+        figures |= {f"{name}_p50_ms": round(float(p50), 2), f"{name}_p99_ms": round(float(p99), 2)}
+    return figures
