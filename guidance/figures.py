@@ -130,7 +130,10 @@ def means_beside(trials: Mapping[str, pd.DataFrame], people: Collection[str]) ->
     conditions = conditions_of(pd.concat([group[["condition"]] for group in trials.values()]))
     figure = Figure(figsize=(13.5, 6.2), layout="constrained")
     panels = list(figure.subplots(2, 4).flat)
-    proxies = " and ".join(name for name in trials if name not in people)
+    proxies = [name for name in trials if name not in people]
+    asked = {0: "7-point rating", len(trials): "PROXY of the 7-point rating"}.get(
+        len(proxies), f"7-point rating\n(PROXY of {', '.join(proxies)})"
+    )
     for axes, (metric, about) in zip(panels, METRICS.items(), strict=True):
         for (name, group), (colour, marker, shift) in zip(trials.items(), SIDES, strict=True):
             scores = group.pivot(index="user", columns="condition", values=metric).reindex(columns=list(conditions))
@@ -144,8 +147,7 @@ def means_beside(trials: Mapping[str, pd.DataFrame], people: Collection[str]) ->
         else:
             _within_reason(axes, about)
         axes.set_title(about.label, fontsize=11, fontweight="bold")
-        unit = "7-point rating" + (f" (PROXY of {proxies})" if proxies else "") if rating else about.unit
-        axes.set_ylabel(unit, fontsize=8 if rating else 9, color="#444444")
+        axes.set_ylabel(asked if rating else about.unit, fontsize=8 if rating else 9, color="#444444")
         axes.set_xticks(range(len(conditions)), [f"({condition.letter})" for condition in conditions.values()])
         axes.set_xlim(-0.6, len(conditions) - 0.4)
         axes.tick_params(labelsize=9)
