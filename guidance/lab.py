@@ -47,7 +47,7 @@ KEYS = {
     "space": "pause",
     "h": "these keys",
     "f": "full screen",
-    "r": "feel forces again after a safety stop",
+    "r": "after a safety stop: feel forces again",
     "esc": "leave; what is finished is kept, and the session goes on from there another time",
 }
 NEW = "new"

@@ -46,7 +46,7 @@ KEYS = {  # those that choose a condition come before them
     "space": "pause",
     "h": "these keys",
     "f": "full screen",
-    "r": "feel forces again after a safety stop",
+    "r": "after a safety stop: feel forces again",
     "esc": "leave",
 }
 LEAST_DEMONSTRATION = 500  # ticks: half a minute adapts as well as eight, and 10 s are something

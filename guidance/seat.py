@@ -9,6 +9,7 @@ import signal
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from math import inf
 from typing import Protocol
 
 import numpy as np
@@ -127,7 +128,7 @@ class Screen(Protocol):
 class Dark:
     """No screen."""
 
-    next_frame, cost, attentive = float("inf"), 0.0, True
+    next_frame, cost, attentive = inf, 0.0, True
 
     def poll(self) -> None:
         pass
@@ -214,28 +215,34 @@ class Seat:
                 clock.wait(min(later, self._due) - now)
         screen.poll()
         hand.advance(self._steps - done, state[0])
+        if hand.fault is not None:  # a game about a force does not go on without it
+            self.pause()
         if clock.now() - self._due > self.tick_seconds:
             self.late, self._due = self.late + 1, clock.now()
         self._looked = clock.now()
         return self.action
 
-    def pause(self, seconds: float = float("inf"), note: str = "paused: space to go on") -> None:
-        """Rest without a force for so long, or until the person presses space.
+    def pause(self, seconds: float = inf, note: str = "paused: space to go on") -> None:
+        """Rest without a force for so long, or until the person presses space; after a fault, only once it is released.
 
         Raises:
             Leave: the person wants to go.
+            RuntimeError: a fault, and no screen to say so.
         """
         begun, done = self.clock.now(), 0
         self.moment.note, note = note, self.moment.note
-        while (now := self.clock.now()) < begun + seconds:
+        while (now := self.clock.now()) < begun + seconds or self.hand.fault is not None:
+            if self.screen.next_frame == inf and self.hand.fault is not None:
+                raise RuntimeError(f"no force: {self.hand.fault}")
             self.hand.push(NO_FORCE, self.screen.attentive)
             if self.person is None:  # for whom time stands still
                 passed = int((now - begun) / SERVO_STEP)
                 self.hand.advance(passed - done, self.moment.state)
                 done = passed
-            if now >= self.screen.next_frame and self._picture() and self.screen.attentive:
+            if now >= self.screen.next_frame and self._picture() and self.screen.attentive and not self.hand.fault:
                 break
-            self.clock.wait(min(self.screen.next_frame, begun + seconds, now + self.tick_seconds) - now)
+            until = begun + seconds if begun + seconds > now else inf
+            self.clock.wait(min(self.screen.next_frame, until, now + self.tick_seconds) - now)
         self.moment.note = note
         self._due = self._looked = self.clock.now()
 
@@ -248,7 +255,7 @@ class Seat:
         """Show the moment; True if the person wants to pause, or to go on."""
         moment, fault = self.moment, self.hand.fault
         moment.hand, moment.force = self.action[0], np.array(self.hand.force)
-        said, moment.note = moment.note, f"no force: {fault}; r to go on" if fault else moment.note
+        said, moment.note = moment.note, f"no force: {fault}; r, then space" if fault else moment.note
         pressed = self.screen.frame(moment)
         moment.note = said
         if fault and "r" in pressed:

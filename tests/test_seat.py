@@ -140,15 +140,32 @@ def test_leaving_leaves_from_the_game_and_from_a_pause():
                 seat.step(STATE, FORCE)
 
 
-def test_a_fault_is_said_and_released_by_r_only():
-    seat = seated(keys={0.5: "x", 1.0: "r"})
+def test_after_a_fault_the_game_waits_until_it_is_released_and_somebody_is_ready():
+    seat = seated(keys={0.5: "space", 1.0: "x", 1.5: "r", 2.0: "space"})
     seat.hand.fault = "the hand moves at 9 m/s"
-    for _ in range(40):
+    seat.step(STATE, FORCE)
+    assert 2.0 <= seat.clock.now() < 2.1 and seat.hand.released
+    assert "no force: the hand moves at 9 m/s; r, then space" in seat.screen.notes
+    assert not any(any(force) for time, force, _ in seat.hand.pushed if time > 0)
+    assert seat.taken() == ["x", "r"] and seat.taken() == []
+    seat.hand.released = False
+    seat.step(STATE, FORCE)
+    assert not seat.hand.released and seat.clock.now() < 2.2
+
+
+def test_a_fault_before_a_round_outlasts_the_breath():
+    clock = HurriedClock()
+    seat = Seat(Hand(clock), Screen(clock, keys={3.0: "r", 4.0: "space"}), clock, 0.02, breath=1.0)
+    seat.hand.fault = "the hand is too far out"
+    seat.new_round(np.array([True]))
+    assert 3.0 <= clock.now() < 3.1
+
+
+def test_without_a_screen_a_fault_is_an_error():
+    seat = seated(dark=True)
+    seat.hand.fault = "the device failed"
+    with pytest.raises(RuntimeError, match="no force: the device failed"):
         seat.step(STATE, FORCE)
-    assert "no force: the hand moves at 9 m/s; r to go on" in seat.screen.notes and not seat.hand.released
-    for _ in range(20):
-        seat.step(STATE, FORCE)
-    assert seat.hand.released and seat.taken() == ["x", "r"] and seat.taken() == []
 
 
 def test_a_breath_between_rounds():
