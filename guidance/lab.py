@@ -13,7 +13,7 @@ are a folder of their own (`records=`), in the manner of BIDS: what is finished 
 
 import hashlib
 import json
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from pathlib import Path
 
 import hydra
@@ -26,16 +26,14 @@ from airhockey_marl.inference import steady
 from airhockey_marl.league import League
 from airhockey_marl.table import Table
 from guidance.clock import HurriedClock, WallClock
-from guidance.devices import DeviceError
 from guidance.games import streams
 from guidance.lsl import open_streams
 from guidance.models import Models
 from guidance.provenance import chosen_conditions, hashes_of, manifest
 from guidance.records import Participant, Records
-from guidance.safety import Limits
 from guidance.seat import Dark, Leave, Seat, leaving_when_told
-from guidance.seating import check_device, open_hand
-from guidance.session import SKIP, Nobody, Plan, Session
+from guidance.seating import Held, at_the_device, check_device
+from guidance.session import SKIP, Desk, Events, Nobody, Plan, Session
 from guidance.study import NO_CONDITION
 from guidance.users import Users, load_mentors, sample_people
 from guidance.users.rating import RATINGS
@@ -149,6 +147,7 @@ def main(cfg: DictConfig) -> None:
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
         plan, limits = plan_of(cfg, models), hydra.utils.instantiate(cfg.safety)
         people = sample_people(cfg.participants, cfg.seed, hydra.utils.instantiate(cfg.users.population))
+        events = open_streams() if cfg.lsl else Nobody()
         records = Records(cfg.records, facts_of(cfg, models))
     torch.set_num_threads(cfg.threads)
     with records:
@@ -157,56 +156,65 @@ def main(cfg: DictConfig) -> None:
                 records.withdraw(str(cfg.participant))
             print(f"{cfg.participant} has withdrawn: everything of theirs in {records.folder} is deleted")
             return
-        with input_errors():
-            label = None if cfg.participant == NEW else str(cfg.participant)
-            if label not in records.places and len(records.places) >= cfg.participants:
-                raise InputError(f"participants = {cfg.participants}: all places are taken")
-            participant = records.participant(label)
-        print(f"participant {participant.label}, place {participant.place + 1} of {cfg.participants}")
-        sitter = None
-        if cfg.device.kind == "simulated":
-            sitter = Sitter(cfg, people[participant.place : participant.place + 1], participant.place)
-        with suppress(Leave), leaving_when_told():
-            if not hold(cfg, plan, participant, limits, sitter):
-                records.withdraw(participant.label)
-                print(f"{participant.label} does not take part; nothing of theirs is kept")
-                return
+        with ExitStack() as room:
+            simulated = cfg.device.kind == "simulated"
+            # whoever comes is enrolled when there is something to hold
+            held = None if simulated else room.enter_context(at_the_device(cfg.device, limits))
+            participant, sitter = enrolled(records, cfg), None
+            if simulated:
+                sitter = Sitter(cfg, people[participant.place : participant.place + 1], participant.place)
+                held = room.enter_context(at_the_device(cfg.device, limits, sitter.users))
+            with suppress(Leave), leaving_when_told():
+                if not hold(cfg, plan, participant, held, sitter, events):
+                    records.withdraw(participant.label)
+                    print(f"{participant.label} does not take part; nothing of theirs is kept")
+                    return
     again = "" if len(participant.games) == 1 + len(plan.conditions) else " It goes on with the same command."
     done = sum(game.ratings is not None for game in participant.games.values())
     print(f"{participant.label}: {done} of {len(plan.conditions)} games are played and rated.{again}")
     print(f"\nrecords: {records.folder}")
 
 
-def hold(cfg: DictConfig, plan: Plan, participant: Participant, limits: Limits, sitter: Sitter | None) -> bool:
+def enrolled(records: Records, cfg: DictConfig) -> Participant:
+    """The participant that the configuration names, or a new one.
+
+    Raises:
+        InputError: a label that is not one, or all places are taken.
+    """
+    with input_errors():
+        label = None if cfg.participant == NEW else str(cfg.participant)
+        if label not in records.places and len(records.places) >= cfg.participants:
+            raise InputError(f"participants = {cfg.participants}: all places are taken")
+        participant = records.participant(label)
+    print(f"participant {participant.label}, place {participant.place + 1} of {cfg.participants}")
+    return participant
+
+
+def hold(
+    cfg: DictConfig, plan: Plan, participant: Participant, held: Held, sitter: Sitter | None, events: Events
+) -> bool:
     """Hold one person's session; whether they take part.
 
     Raises:
-        InputError: the device cannot be opened.
         Leave: the person wants to go.
     """
-    clock = WallClock() if cfg.window else HurriedClock()
-    window = None
-    if cfg.window:
-        window = Window("Air hockey", Table(), cfg.width, cfg.frames_per_second, clock, KEYS, shows_force=False)
-    try:
-        try:
-            held = open_hand(cfg.device, limits, sitter and sitter.users)
-        except (ValueError, DeviceError) as error:
-            raise InputError(f"device: {error}") from error
-        try:
-            if window is not None:
-                window.pointed, window.unplugged = held.pointed, held.unplugged
-                if cfg.fullscreen:
-                    window.toggle_fullscreen()
-            seat = Seat(held.hand, window or Dark(), clock, Table().tick, cfg.breath if cfg.window else 0.0)
-            events = open_streams() if cfg.lsl else Nobody()
-            seated = (lambda game: sitter.sit_down(seat, game)) if sitter else (lambda game: None)
-            return Session(plan, participant, seat, window or sitter, events, seated).run()
-        finally:
-            held.hand.close()
-    finally:
-        if window is not None:
-            window.close()
+    if not cfg.window:
+        return session_of(plan, participant, Seat(held.hand, Dark(), HurriedClock(), Table().tick, 0.0), sitter, events)
+    clock = WallClock()
+    with Window("Air hockey", Table(), cfg.width, cfg.frames_per_second, clock, KEYS, shows_force=False) as window:
+        window.pointed, window.unplugged = held.pointed, held.unplugged
+        if cfg.fullscreen:
+            window.toggle_fullscreen()
+        seat = Seat(held.hand, window, clock, Table().tick, cfg.breath)
+        return session_of(plan, participant, seat, sitter, events, window)
+
+
+def session_of(
+    plan: Plan, participant: Participant, seat: Seat, sitter: Sitter | None, events: Events, desk: Desk | None = None
+) -> bool:
+    """The session of whoever sits there; a simulated person answers for themselves where there is no desk."""
+    seated = (lambda game: sitter.sit_down(seat, game)) if sitter else (lambda game: None)
+    return Session(plan, participant, seat, desk or sitter, events, seated).run()
 
 
 if __name__ == "__main__":

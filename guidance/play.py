@@ -25,14 +25,13 @@ from airhockey_marl.league import League
 from airhockey_marl.table import Table
 from guidance.clock import WallClock
 from guidance.conditions import ADAPTED, Condition
-from guidance.devices import DeviceError
 from guidance.games import Protocol, Rink, Scoring, streams
 from guidance.models import Models
 from guidance.provenance import chosen_conditions
 from guidance.recording import Game, Recording
 from guidance.safety import Limits
 from guidance.seat import Leave, Seat, leaving_when_told
-from guidance.seating import check_device, open_hand
+from guidance.seating import at_the_device, check_device
 from guidance.study import NO_CONDITION
 from guidance.ticks import COLUMNS, TickLog, demonstration, overheard_guide, scene_facts
 from guidance.users import Population, Users, load_mentors, sample_people
@@ -235,24 +234,16 @@ def main(cfg: DictConfig) -> None:
     torch.set_num_threads(cfg.threads)
     folder, clock, table = Path(HydraConfig.get().runtime.output_dir), WallClock(), Table()
     keys = {key: f"({condition.letter}) {condition.label}" for key, condition in conditions.items()} | KEYS
-    window = Window("Air hockey", table, cfg.width, cfg.frames_per_second, clock, keys)
-    try:
-        window.overlay = cfg.overlay
-        try:
-            held = open_hand(cfg.device, limits, person)
-        except (ValueError, DeviceError) as error:
-            raise InputError(f"device: {error}") from error
-        try:
-            window.pointed, window.unplugged = held.pointed, held.unplugged
-            seat = Seat(held.hand, window, clock, table.tick, cfg.breath, person)
-            how = cfg.guidance.lookahead, protocol.round_seconds
-            play = Play(conditions, models, opponents, cfg.opponent, *how, seat, serves, folder)
-            with leaving_when_told():
-                play.run(begin_with, cfg.seconds)
-        finally:
-            held.hand.close()
-    finally:
-        window.close()
+    with (
+        at_the_device(cfg.device, limits, person) as held,
+        Window("Air hockey", table, cfg.width, cfg.frames_per_second, clock, keys) as window,
+    ):
+        window.overlay, window.pointed, window.unplugged = cfg.overlay, held.pointed, held.unplugged
+        seat = Seat(held.hand, window, clock, table.tick, cfg.breath, person)
+        how = cfg.guidance.lookahead, protocol.round_seconds
+        play = Play(conditions, models, opponents, cfg.opponent, *how, seat, serves, folder)
+        with leaving_when_told():
+            play.run(begin_with, cfg.seconds)
     shown = play.summary()[["rounds", "win_rate", "mean_smash_speed", "defense_rate", "mean_disagreement"]]
     print(shown.to_string(float_format="%.2f", na_rep="–"))
     print(f"\nagain: python -m guidance.watch run={folder}")

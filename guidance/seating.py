@@ -1,12 +1,14 @@
 """Which hand a configuration asks for: the devices by name, each behind the safety layer."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.cli import InputError, require_counts, require_numbers
+from guidance.devices import DeviceError
 from guidance.devices.gamepad import Gamepad, open_gamepad
 from guidance.devices.mouse import Mouse
 from guidance.devices.simulated import Simulated
@@ -48,6 +50,23 @@ def check_device(device: DictConfig) -> None:
     if kind == "gamepad":
         require_counts(cfg, "device.index", least=0)
         require_numbers(cfg, "device.dead_zone", least=0.0, at_most=0.9)
+
+
+@contextmanager
+def at_the_device(device: DictConfig, limits: Limits, person: Users | None = None) -> Iterator[Held]:
+    """Open a hand, see `open_hand`, and let go of it whatever happens.
+
+    Raises:
+        InputError: the device is not there, cannot be opened, or refuses its configuration.
+    """
+    try:
+        held = open_hand(device, limits, person)
+    except (ValueError, DeviceError) as error:
+        raise InputError(f"device: {error}") from error
+    try:
+        yield held
+    finally:
+        held.hand.close()
 
 
 def open_hand(device: DictConfig, limits: Limits, person: Users | None = None) -> Held:

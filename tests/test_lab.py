@@ -217,6 +217,14 @@ def test_a_session_at_a_window_shows_every_page_and_never_the_condition(at_a_win
     assert not any(name in shown for name in ("OAHG", "UPHG", "CombHG", "NHG"))
 
 
+def test_without_its_device_nobody_is_enrolled(tmp_path):
+    for device in ("forcedimension", "gamepad"):
+        where = f"records={tmp_path}/{device}", f"hydra.run.dir={tmp_path}/run"
+        code, _, complained = here(lab.main, "participant=new", f"device={device}", *where)
+        assert code == 2 and complained.startswith("error: device: ") and complained.count("\n") == 1, complained
+        assert "P" not in (tmp_path / device / "participants.tsv").read_text()
+
+
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

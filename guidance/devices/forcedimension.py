@@ -10,7 +10,8 @@ own, rises and falls softly with the grip, is gone when the device is relaxed, a
 
 import time
 from collections.abc import Callable
-from contextlib import suppress
+from contextlib import redirect_stderr, suppress
+from io import StringIO
 from math import hypot, isfinite
 from types import ModuleType
 
@@ -30,7 +31,8 @@ def load_sdk() -> ModuleType:
         DeviceError: the binding or the SDK is not installed; says what to install.
     """
     try:
-        from forcedimension_core import dhd
+        with redirect_stderr(StringIO()):  # the error says it all
+            from forcedimension_core import dhd
     except ModuleNotFoundError as error:
         raise DeviceError(f"{error.name} is missing: pip install forcedimension-core==1.0.0") from error
     except ImportError as error:

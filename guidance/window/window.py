@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping
 from math import hypot
+from typing import Self
 
 import numpy as np
 import pygame
@@ -159,7 +160,14 @@ class Window:
         """(height, width, 3) uint8."""
         return pygame.surfarray.array3d(self.surface).swapaxes(0, 1)
 
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
     def close(self) -> None:
+        """Shut it; no other window is open then."""
         forget()
         pygame.quit()
 
