@@ -30,10 +30,11 @@ from guidance.games import streams
 from guidance.lsl import open_streams
 from guidance.models import Models
 from guidance.provenance import chosen_conditions, hashes_of, manifest
+from guidance.recording import load_json
 from guidance.records import Participant, Records
 from guidance.seat import Dark, Leave, Seat, leaving_when_told
-from guidance.seating import Held, at_the_device, check_device
-from guidance.session import SKIP, Desk, Events, Nobody, Plan, Session
+from guidance.seating import at_the_device, check_device
+from guidance.session import SKIP, Nobody, Plan, Session
 from guidance.study import NO_CONDITION
 from guidance.users import Users, load_mentors, sample_people
 from guidance.users.rating import RATINGS
@@ -104,11 +105,12 @@ def check(cfg: DictConfig) -> None:
         raise InputError(f"window = false must be true for device = {cfg.device.kind}: somebody looks at it")
 
 
-def facts_of(cfg: DictConfig, models: Models) -> dict:
-    """The manifest of the study; two with other devices, limits or kinds of people are not the same one."""
+def facts_of(cfg: DictConfig, models: Models, plan: Plan) -> dict:
+    """The manifest of the study; two with other devices, limits, questions or kinds of people are not the same one."""
     facts = manifest(cfg, hashes_of(cfg, models), "", 0.0)
     who = "simulated" if cfg.device.kind == "simulated" else "people"
     how = [facts["study_hash"], OmegaConf.to_container(cfg.device), OmegaConf.to_container(cfg.safety), who]
+    how += [dict(plan.questions), list(plan.scale), cfg.breath, plan.consent, list(map(repr, plan.conditions))]
     digest = hashlib.sha256(json.dumps(how, sort_keys=True).encode()).hexdigest()
     # whose session it was is none of the study's business: they may withdraw
     config = {key: value for key, value in facts["config"].items() if key not in OF_A_SESSION}
@@ -137,6 +139,7 @@ def plan_of(cfg: DictConfig, models: Models) -> Plan:
         questions=OmegaConf.to_container(cfg.questions),
         scale=tuple(cfg.scale),
         interview=cfg.interview,
+        device=cfg.device.kind,
     )
 
 
@@ -144,35 +147,59 @@ def plan_of(cfg: DictConfig, models: Models) -> Plan:
 def main(cfg: DictConfig) -> None:
     with input_errors():
         check(cfg)
+    if cfg.withdraw:
+        withdraw(Path(cfg.records), str(cfg.participant))
+        return
+    with input_errors():
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
         plan, limits = plan_of(cfg, models), hydra.utils.instantiate(cfg.safety)
         people = sample_people(cfg.participants, cfg.seed, hydra.utils.instantiate(cfg.users.population))
-        events = open_streams() if cfg.lsl else Nobody()
-        records = Records(cfg.records, facts_of(cfg, models))
+        facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else Nobody()
     torch.set_num_threads(cfg.threads)
-    with records:
-        if cfg.withdraw:
-            with input_errors():
-                records.withdraw(str(cfg.participant))
-            print(f"{cfg.participant} has withdrawn: everything of theirs in {records.folder} is deleted")
+    clock = WallClock() if cfg.window else HurriedClock()
+    with ExitStack() as room:
+        window = held = sitter = None
+        if cfg.window:
+            how = cfg.width, cfg.frames_per_second, clock, KEYS
+            window = room.enter_context(Window("Air hockey", Table(), *how, shows_force=False))
+        if cfg.device.kind != "simulated":  # nobody is enrolled, and no study begun, before there is something to hold
+            held = room.enter_context(at_the_device(cfg.device, limits))
+        with input_errors():
+            records = room.enter_context(Records(cfg.records, facts))
+        participant = enrolled(records, cfg)
+        if held is None:
+            sitter = Sitter(cfg, people[participant.place : participant.place + 1], participant.place)
+            held = room.enter_context(at_the_device(cfg.device, limits, sitter.users))
+        seat = Seat(held.hand, window or Dark(), clock, Table().tick, cfg.breath if cfg.window else 0.0)
+        if window is not None:
+            window.pointed, window.unplugged = held.pointed, held.unplugged
+            if cfg.fullscreen:
+                window.toggle_fullscreen()
+        seated = (lambda game: sitter.sit_down(seat, game)) if sitter else (lambda game: None)
+        with suppress(Leave), leaving_when_told():
+            Session(plan, participant, seat, window or sitter, events, seated).run()
+        if participant.consent is None:
+            records.withdraw(participant.label, counted=False)
+            print(f"{participant.label} does not take part; nothing of theirs is kept")
             return
-        with ExitStack() as room:
-            simulated = cfg.device.kind == "simulated"
-            # whoever comes is enrolled when there is something to hold
-            held = None if simulated else room.enter_context(at_the_device(cfg.device, limits))
-            participant, sitter = enrolled(records, cfg), None
-            if simulated:
-                sitter = Sitter(cfg, people[participant.place : participant.place + 1], participant.place)
-                held = room.enter_context(at_the_device(cfg.device, limits, sitter.users))
-            with suppress(Leave), leaving_when_told():
-                if not hold(cfg, plan, participant, held, sitter, events):
-                    records.withdraw(participant.label)
-                    print(f"{participant.label} does not take part; nothing of theirs is kept")
-                    return
-    again = "" if len(participant.games) == 1 + len(plan.conditions) else " It goes on with the same command."
     done = sum(game.ratings is not None for game in participant.games.values())
+    again = "" if done == len(plan.conditions) else f" It goes on with participant={participant.label}."
     print(f"{participant.label}: {done} of {len(plan.conditions)} games are played and rated.{again}")
     print(f"\nrecords: {records.folder}")
+
+
+def withdraw(folder: Path, label: str) -> None:
+    """Delete everything of a person, whatever the study's configuration is.
+
+    Raises:
+        InputError: there are no records, or nobody of this label.
+    """
+    with input_errors():
+        if not (folder / "manifest.json").is_file():
+            raise InputError(f"records = {folder} holds no study")
+        with Records(folder, load_json(folder / "manifest.json")) as records:
+            records.withdraw(label)
+    print(f"{label} has withdrawn: everything of theirs in {folder} is deleted")
 
 
 def enrolled(records: Records, cfg: DictConfig) -> Participant:
@@ -188,33 +215,6 @@ def enrolled(records: Records, cfg: DictConfig) -> Participant:
         participant = records.participant(label)
     print(f"participant {participant.label}, place {participant.place + 1} of {cfg.participants}")
     return participant
-
-
-def hold(
-    cfg: DictConfig, plan: Plan, participant: Participant, held: Held, sitter: Sitter | None, events: Events
-) -> bool:
-    """Hold one person's session; whether they take part.
-
-    Raises:
-        Leave: the person wants to go.
-    """
-    if not cfg.window:
-        return session_of(plan, participant, Seat(held.hand, Dark(), HurriedClock(), Table().tick, 0.0), sitter, events)
-    clock = WallClock()
-    with Window("Air hockey", Table(), cfg.width, cfg.frames_per_second, clock, KEYS, shows_force=False) as window:
-        window.pointed, window.unplugged = held.pointed, held.unplugged
-        if cfg.fullscreen:
-            window.toggle_fullscreen()
-        seat = Seat(held.hand, window, clock, Table().tick, cfg.breath)
-        return session_of(plan, participant, seat, sitter, events, window)
-
-
-def session_of(
-    plan: Plan, participant: Participant, seat: Seat, sitter: Sitter | None, events: Events, desk: Desk | None = None
-) -> bool:
-    """The session of whoever sits there; a simulated person answers for themselves where there is no desk."""
-    seated = (lambda game: sitter.sit_down(seat, game)) if sitter else (lambda game: None)
-    return Session(plan, participant, seat, desk or sitter, events, seated).run()
 
 
 if __name__ == "__main__":

@@ -18,6 +18,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from tensordict import TensorDict
+from torch import Tensor
 
 from airhockey_marl.cli import InputError, command, input_errors, require_counts, require_numbers
 from airhockey_marl.inference import steady
@@ -79,7 +80,7 @@ class Play:
         self.opponent = range(len(opponents))[opponent]
         self.rink = Rink(seat, steady(opponents.player(self.opponent)), Table(), serves)
         self.adapted: TensorDict | None = None
-        self.unguided: list[pd.DataFrame] = []
+        self.unguided: list[tuple[Tensor, Tensor]] = []
         self.games: dict[str, Game] = {}
         self.labels: dict[str, str] = {}
         self.ticks, self._note_left = 0, 0.0
@@ -106,8 +107,11 @@ class Play:
         self._round_ticks += 1
         out_of_time = self._round_ticks * self.log.tick_seconds >= self.round_seconds
         ended = (tick.goals != 0) | out_of_time
+        self._rounds += int(ended[0])
         self._show(self.log(tick, True, bool(ended[0])))
-        for key in self.seat.taken():
+        pressed = list(self.seat.taken())
+        chosen = [key for key in pressed if key in self.conditions]
+        for key in [key for key in pressed if key not in chosen[:-1]]:  # of two at once the later
             self.press(key)
         if ended[0]:
             self._round_ticks = 0
@@ -143,13 +147,13 @@ class Play:
 
     def adapt(self) -> None:
         """User adaptation (UA, Eq. 1): make the user model the person's own, from all their play without guidance."""
-        own = [*self.unguided, self.log.table()] if self._unguided() else self.unguided
-        ticks = sum(map(len, own))
+        self._save()
+        ticks = sum(len(seen) for seen, _ in self.unguided)
         if ticks < LEAST_DEMONSTRATION:
             missing = (LEAST_DEMONSTRATION - ticks) * self.log.tick_seconds
             self._say(f"play without guidance (1) for {missing:.0f} s more")
             return
-        self.adapted = self.models.adapted_to([demonstration(pd.concat(own))])
+        self.adapted = self.models.adapted_to([tuple(map(torch.cat, zip(*self.unguided, strict=True)))])
         condition = self.condition
         self._end()
         self._begin(condition)
@@ -166,9 +170,9 @@ class Play:
     def _begin(self, condition: Condition) -> None:
         self.condition, table = condition, self.rink.tables.table
         self.guide, overheard = overheard_guide(condition, self.models, self.adapted, self.lookahead_seconds)
-        self.log = TickLog(overheard, table.tick, felt=lambda: self.seat.hand.force)
+        self.log = TickLog(overheard, table.tick, self.seat.hand)
         self.scoring = Scoring(self.rink)
-        self._round_ticks, self._saved, nth = 0, 0, len(self.games) + 1
+        self._round_ticks, self._rounds, nth = 0, 0, len(self.games) + 1
         name = f"{nth:02d}{condition.name.replace('_', '')}"
         self.labels[name] = f"{nth:02d} {condition.label}, generation {self.opponent}"
         facts = scene_facts(condition, "you", f"generation {self.opponent}", self.adapted is not None)
@@ -177,17 +181,17 @@ class Play:
         self.seat.moment.title = f"{condition.label}, generation {self.opponent}"
 
     def _save(self) -> None:
-        self.recording.append(self.log.rows[self._saved :])
-        self._saved = len(self.log.rows)
+        rows = self.log.take()
+        self.recording.append(rows)
+        if rows and self._unguided():
+            self.unguided.append(demonstration(pd.DataFrame(rows)))
 
     def _end(self) -> None:
         """Write down the stretch that is over; its score begins anew."""
         self._save()
-        if self._unguided():
-            self.unguided.append(self.log.table())
         measured = {**self.scoring.results(), **self.scoring.weights()}
         numbers = {name: float(values[0]) for name, values in measured.items()}
-        self.recording.finish(numbers | {"rounds": self.log.won + self.log.lost, "duration_s": self.log.time})
+        self.recording.finish(numbers | {"rounds": self._rounds, "duration_s": self.log.time})
 
     def _show(self, row: dict[str, float]) -> None:
         moment, overheard = self.seat.moment, self.log.overheard
@@ -235,8 +239,8 @@ def main(cfg: DictConfig) -> None:
     folder, clock, table = Path(HydraConfig.get().runtime.output_dir), WallClock(), Table()
     keys = {key: f"({condition.letter}) {condition.label}" for key, condition in conditions.items()} | KEYS
     with (
-        at_the_device(cfg.device, limits, person) as held,
         Window("Air hockey", table, cfg.width, cfg.frames_per_second, clock, keys) as window,
+        at_the_device(cfg.device, limits, person) as held,
     ):
         window.overlay, window.pointed, window.unplugged = cfg.overlay, held.pointed, held.unplugged
         seat = Seat(held.hand, window, clock, table.tick, cfg.breath, person)

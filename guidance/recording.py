@@ -160,7 +160,7 @@ class Game:
         )
 
     def rated(self, ratings: Mapping[str, int], interview: str) -> "Game":
-        """The same game with ratings, which are saved with it. The same ratings may be saved again.
+        """The same game with ratings, which are saved with it. The same ratings may be saved again, with an interview.
 
         Raises:
             ValueError: other items than `RATINGS`, a value that is not a whole number from 1 to 7, a game that is not
@@ -175,7 +175,7 @@ class Game:
             if not isinstance(value, Integral) or isinstance(value, bool) or value not in SCALE:
                 raise ValueError(f"ratings.{name} = {value!r} must be a whole number from {SCALE[0]} to {SCALE[-1]}")
         ratings = {name: int(ratings[name]) for name in RATINGS}
-        if self.ratings is not None and (self.ratings, self.interview) != (ratings, interview):
+        if self.ratings is not None and (self.ratings != ratings or self.interview not in ("", interview)):
             raise ValueError(f"ratings of {self.name}: there are some already, {self.ratings}")
         save_json(self.description, load_json(self.description) | {"Ratings": ratings, "Interview": interview})
         return Game.load(self.description)
@@ -268,8 +268,12 @@ class Recording:
         cells = [[_cell(name, value) for value in column] for name, column in zip(self.columns, values, strict=True)]
         self._write("".join("\t".join(row) + "\n" for row in zip(*cells, strict=True)))
 
-    def finish(self, results: Mapping[str, float]) -> Game:
+    def finish(self, results: Mapping[str, float], facts: Mapping[str, Any] | None = None) -> Game:
         """The game is over, with these results: from now on it is whole. If this raises, it may be called again.
+
+        Args:
+            results: `RESULTS` by name.
+            facts: what else there is to say of the game now; joins those that it was begun with.
 
         Raises:
             ValueError: other results than `RESULTS`, an infinite one, or the game is over already.
@@ -283,6 +287,7 @@ class Recording:
         for name, value in numbers.items():
             if not isinstance(value, Real) or isinstance(value, bool) or math.isinf(value):
                 raise ValueError(f"results.{name} = {value!r} must be a finite number, or NaN where undefined")
+        self.facts |= facts or {}
         self._write("")  # nothing after the last tick that was appended
         known = {name: None if math.isnan(value) else value for name, value in numbers.items()}
         description = self._path(_BEHAVIOUR, ".json")

@@ -142,10 +142,11 @@ class Records:
             settle(self.folder)
         return Participant(self, label)
 
-    def withdraw(self, label: str) -> None:
+    def withdraw(self, label: str, counted: bool = True) -> None:
         """Delete all that is known of a person; the next one who is enrolled gets their place.
 
-        Only the number of those who have withdrawn is kept. What a crash leaves of it is finished when the folder is
+        Only the number of those who have withdrawn is kept, and not even that if it is not `counted`: of somebody who
+        never consented. What a crash leaves of it is finished when the folder is
         opened again. Reports and copies made of the records before are elsewhere, and not its business.
 
         Raises:
@@ -159,7 +160,8 @@ class Records:
             if label == finished:
                 return
             raise ValueError(f"withdraw = {label} must be one of those enrolled: {', '.join(self.places) or 'nobody'}")
-        self._save_manifest(self.manifest | {"withdrawals": self.manifest["withdrawals"] + 1, "withdrawing": label})
+        withdrawals = self.manifest["withdrawals"] + counted
+        self._save_manifest(self.manifest | {"withdrawals": withdrawals, "withdrawing": label})
         self._finish_withdrawal()
 
     def trials(self) -> pd.DataFrame:

@@ -6,7 +6,7 @@ held until the next tick is due; in between the screen is drawn.
 """
 
 import signal
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from math import inf
@@ -25,8 +25,8 @@ PATIENCE = 0.05  # s that a picture waits at most
 NO_FORCE = (0.0, 0.0)
 
 
-class Leave(Exception):
-    """The person wants to go."""
+class Leave(BaseException):
+    """The person wants to go. As KeyboardInterrupt, nothing takes it for an error, wherever it comes."""
 
 
 @contextmanager
@@ -54,6 +54,9 @@ class Hand(Protocol):
     def force(self) -> Pair: ...  # (2,) N, what it feels
 
     @property
+    def held(self) -> bool: ...  # whether it is at the device
+
+    @property
     def fault(self) -> str | None: ...  # why it feels nothing any more, until `release`
 
     def push(self, force: Pair, held: bool = True) -> None: ...
@@ -72,7 +75,7 @@ class Moment:
     """What there is to show of a game.
 
     Attributes:
-        state, last: (12,) the table as seen from the left seat, now and a tick ago.
+        state, last: (12,) the table as seen from the left seat, now and a tick ago; None before a game.
         share: of a tick, that has passed since `state`.
         hand: (2,) where the hand is, over its reach.
         force: (2,) N, what it feels.
@@ -82,8 +85,8 @@ class Moment:
         title, note: what is going on; `note` for a while only.
     """
 
-    state: np.ndarray = field(default_factory=lambda: np.zeros(12))
-    last: np.ndarray = field(default_factory=lambda: np.zeros(12))
+    state: np.ndarray | None = None
+    last: np.ndarray | None = None
     share: float = 0.0
     hand: np.ndarray = field(default_factory=lambda: np.zeros(2))
     force: np.ndarray = field(default_factory=lambda: np.zeros(2))
@@ -147,9 +150,11 @@ class Seat:
 
     Attributes:
         moment: what the screen shows; the game's owner writes scores, titles and targets into it.
+        mark: is told when the game is paused and goes on, and of faults.
         keys: pressed, and not taken yet.
         latencies: s from the look at table and hand to the force, of every tick.
-        late: ticks that began more than a tick too late, which then was made up for by nothing.
+        late, pauses, faults: in this game: ticks that began more than a tick too late, which nothing makes up for;
+            pauses, but for the breaths; and what the faults were.
     """
 
     def __init__(
@@ -164,9 +169,11 @@ class Seat:
         self.hand, self.screen, self.clock, self.person = hand, screen, clock, person
         self.tick_seconds, self.breath = tick_seconds, breath
         self._steps = round(tick_seconds / SERVO_STEP)
-        self.moment, self.keys, self.latencies, self.late = Moment(), [], [], 0
+        self.mark: Callable[[str], None] = lambda what: None
+        self.moment, self.keys, self.latencies = Moment(), [], []
+        self.late, self.pauses, self.faults = 0, 0, []
         self._due = self._looked = clock.now()
-        self._first = True
+        self._first, self._nothing = True, np.zeros(12)
 
     @property
     def action(self) -> np.ndarray:
@@ -175,15 +182,17 @@ class Seat:
 
     def new_game(self, which: np.ndarray) -> None:
         """Begin a game, after a breath; its forces start softly, whatever was before."""
+        self.late, self.pauses, self.faults = 0, 0, []
+        self.moment.state = self.moment.last = None
         self.hand.rest()
-        self._breathe()
+        self._breathe(grip=False)
         if self.person is not None:
             self.person.new_game(which)
 
     def new_round(self, which: np.ndarray) -> None:
         """Begin a round where `which` (1,) says so, after a breath."""
         if which[0]:
-            self._breathe()
+            self._breathe(grip=True)
             if self.person is not None:
                 self.person.new_round(which)
 
@@ -197,7 +206,7 @@ class Seat:
         hand.push((float(force[0, 0]), float(force[0, 1])), screen.attentive)
         self.latencies.append(clock.now() - self._looked)
         moment.last = state[0].copy() if self._first else moment.state
-        moment.state, self._first, done = state[0].copy(), False, 0
+        moment.state, self._first, done, left = state[0].copy(), False, 0, None
         begun, self._due = self._due, self._due + self.tick_seconds
         while (now := clock.now()) < self._due:
             passed = min(int((now - begun) / SERVO_STEP), self._steps)
@@ -208,6 +217,7 @@ class Seat:
             if now >= screen.next_frame and fits:
                 moment.share = (now - begun) / self.tick_seconds
                 if self._picture() or not screen.attentive:
+                    left = self.action
                     self.pause()
                     begun = self._due - self.tick_seconds
             else:
@@ -216,46 +226,68 @@ class Seat:
         screen.poll()
         hand.advance(self._steps - done, state[0])
         if hand.fault is not None:  # a game about a force does not go on without it
+            left = self.action if left is None else left
             self.pause()
         if clock.now() - self._due > self.tick_seconds:
             self.late, self._due = self.late + 1, clock.now()
         self._looked = clock.now()
-        return self.action
+        return self.action if left is None else left  # what the hand does in a pause is no action
 
-    def pause(self, seconds: float = inf, note: str = "paused: space to go on") -> None:
-        """Rest without a force for so long, or until the person presses space; after a fault, only once it is released.
+    def pause(self) -> None:
+        """Rest without a force until the person presses space; after a fault, only once it is released.
 
         Raises:
             Leave: the person wants to go.
             RuntimeError: a fault, and no screen to say so.
         """
-        begun, done = self.clock.now(), 0
-        self.moment.note, note = note, self.moment.note
-        while (now := self.clock.now()) < begun + seconds or self.hand.fault is not None:
-            if self.screen.next_frame == inf and self.hand.fault is not None:
-                raise RuntimeError(f"no force: {self.hand.fault}")
-            self.hand.push(NO_FORCE, self.screen.attentive)
+        self.pauses += 1
+        self.mark("pause")
+        self._rest(inf, "paused: space to go on", grip=False)
+        self.mark("go on")
+
+    def _breathe(self, grip: bool) -> None:
+        """Rest between rounds or games; space makes a pause of it."""
+        if self.breath > 0 and self._rest(self.breath, self.moment.note, grip):
+            self.pause()
+        self._first = True
+
+    def _rest(self, seconds: float, note: str, grip: bool) -> bool:
+        """Let time stand still for so long; whether it was ended by space.
+
+        Args:
+            grip: the hand stays at the device, and the next force need not start softly.
+        """
+        clock, screen, hand, begun, done = self.clock, self.screen, self.hand, self.clock.now(), 0
+        self.moment.note, note, spaced = note, self.moment.note, False
+        while (now := clock.now()) < begun + seconds or hand.fault is not None:
+            if screen.next_frame == inf and hand.fault is not None:
+                raise RuntimeError(f"no force: {hand.fault}")
+            hand.push(NO_FORCE, grip and screen.attentive)
             if self.person is None:  # for whom time stands still
                 passed = int((now - begun) / SERVO_STEP)
-                self.hand.advance(passed - done, self.moment.state)
+                hand.advance(passed - done, self._nothing)
                 done = passed
-            if now >= self.screen.next_frame and self._picture() and self.screen.attentive and not self.hand.fault:
+            if now >= screen.next_frame and self._picture() and screen.attentive and hand.fault is None:
+                spaced = True
                 break
             until = begun + seconds if begun + seconds > now else inf
-            self.clock.wait(min(self.screen.next_frame, until, now + self.tick_seconds) - now)
+            clock.wait(min(screen.next_frame, until, now + self.tick_seconds) - now)
         self.moment.note = note
-        self._due = self._looked = self.clock.now()
-
-    def _breathe(self) -> None:
-        if self.breath > 0:
-            self.pause(self.breath, self.moment.note)
-        self._first = True
+        self._due = self._looked = clock.now()
+        return spaced
 
     def _picture(self) -> bool:
         """Show the moment; True if the person wants to pause, or to go on."""
         moment, fault = self.moment, self.hand.fault
         moment.hand, moment.force = self.action[0], np.array(self.hand.force)
-        said, moment.note = moment.note, f"no force: {fault}; r, then space" if fault else moment.note
+        if fault and (not self.faults or self.faults[-1] != fault):
+            self.faults.append(fault)
+            self.mark(f"fault: {fault}")
+        said = moment.note
+        if fault:
+            moment.note = f"no force: {fault}; r, then space"
+        elif not self.hand.held and not moment.note:
+            moment.note = "take hold of the device"
         pressed = self.screen.frame(moment)
         moment.note = said
         if fault and "r" in pressed:

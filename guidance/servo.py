@@ -160,8 +160,11 @@ class Inline:
 
     @property
     def position(self) -> Pair:
-        """(2,) m, the hand from the centre, now."""
-        return self.device.position
+        """(2,) m, the hand from the centre, now; of a device that fails, where it was last."""
+        try:
+            return self.device.position
+        except Exception:  # the next step says so
+            return self._loop.position
 
     @property
     def velocity(self) -> Pair:
@@ -241,7 +244,7 @@ class Slot:
         return None
 
 
-ORDERS = "=q2d?q?"  # how many pushes so far; force; held; how many releases were asked for; stop
+ORDERS = "=q2d?2q?"  # how many pushes so far; force; held; how many releases and rests were asked for; stop
 REPORT = (
     f"=3q6dd?{FAULT_BYTES}s"  # steps, late ones, releases answered; position, velocity, force; longest; held; fault
 )
@@ -263,10 +266,10 @@ class Servo:
 
     def __init__(self, open_device: Opener, limits: Limits) -> None:
         context = multiprocessing.get_context("spawn")
-        self._orders = Slot(ORDERS, context, 0, 0.0, 0.0, False, 0, False)
+        self._orders = Slot(ORDERS, context, 0, 0.0, 0.0, False, 0, 0, False)
         self._report = Slot(REPORT, context, 0, 0, 0, *[0.0] * 7, False, b"")
         self._periods = context.RawArray("Q", LONGEST + 1)
-        self._pushes = self._releases = 0
+        self._pushes = self._releases = self._rests = 0
         self._force, self._wanted, self._closed = NONE, False, False
         self._seen, self._seen_at = self._report.read(), monotonic()
         ours, theirs = context.Pipe(duplex=False)
@@ -293,7 +296,7 @@ class Servo:
         self._write()
 
     def _write(self, stop: bool = False) -> None:
-        self._orders.write(self._pushes, *self._force, self._wanted, self._releases, stop)
+        self._orders.write(self._pushes, *self._force, self._wanted, self._releases, self._rests, stop)
 
     def advance(self, milliseconds: int, state: Any) -> None:
         """Nothing: time passes by itself."""
@@ -339,7 +342,8 @@ class Servo:
         return fault or None
 
     def rest(self) -> None:
-        """Ask for no force: what acts ramps down, and the next push starts softly."""
+        """Have no force act until the next push, which then starts softly, see `Inline.rest`."""
+        self._rests += 1
         self.push(NONE, False)
 
     def release(self) -> bool:
@@ -410,7 +414,7 @@ def _serve(open_device: Opener, limits: Limits, orders: Slot, report: Slot, peri
 
 def _run(loop: Loop, orders: Slot, report: Slot, periods: Any, stopping: list[int]) -> None:
     parent, safety = multiprocessing.parent_process(), loop.safety
-    steps = late = pushes = releases = 0
+    steps = late = pushes = releases = rests = 0
     longest, fault, said = 0.0, None, b""
     due = last = perf_counter()
     while not stopping:
@@ -423,9 +427,12 @@ def _run(loop: Loop, orders: Slot, report: Slot, periods: Any, stopping: list[in
         period = now - last
         order = orders.read()
         if order is not None:
-            number, x, y, held, asked, stop = order
+            number, x, y, held, asked, resting, stop = order
             if stop:
                 break
+            if resting != rests:
+                rests = resting
+                loop.rest()
             if number != pushes:
                 pushes = number
                 loop.push(x, y, held)
@@ -447,8 +454,7 @@ def _run(loop: Loop, orders: Slot, report: Slot, periods: Any, stopping: list[in
 
 
 def _orphaned(parent: Any) -> bool:
-    # On Windows a process keeps its dead parent's number; elsewhere the parent's other children may keep a sentinel.
-    return not parent.is_alive() if os.name == "nt" else os.getppid() != parent.pid
+    return os.getppid() != parent.pid  # not by a sentinel, which the parent's other children may keep
 
 
 def _hurry() -> None:

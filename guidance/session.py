@@ -20,7 +20,7 @@ from guidance.games import Protocol, Rink, Tick, play_games, streams
 from guidance.models import Models
 from guidance.recording import UNSCORED, Recording
 from guidance.records import Participant
-from guidance.seat import Seat
+from guidance.seat import Moment, Seat
 from guidance.study import NO_CONDITION, order_of
 from guidance.ticks import COLUMNS, TickLog, demonstration, overheard_guide, read_ticks, scene_facts
 from guidance.users.rating import RATINGS
@@ -83,6 +83,7 @@ class Plan:
         consent: the text that is shown.
         questions, scale: what is asked after a game, and what 1 and 7 mean.
         interview: whether notes on what the person says are taken.
+        device: what the hand holds.
     """
 
     conditions: Sequence[Condition]
@@ -97,12 +98,15 @@ class Plan:
     questions: Mapping[str, str]
     scale: tuple[str, str]
     interview: bool
+    device: str
 
     def __post_init__(self) -> None:
         if set(self.questions) != set(RATINGS):
             raise ValueError(f"questions = {', '.join(self.questions)} must be {', '.join(RATINGS)}")
         if len(self.scale) != 2:
             raise ValueError(f"scale = {list(self.scale)} must be two texts, for 1 and for 7")
+        if not self.consent.strip():
+            raise ValueError("consent: the file must hold a text")
 
 
 class Session:
@@ -127,6 +131,7 @@ class Session:
             )
         self.plan, self.participant, self.seat, self.desk = plan, participant, seat, desk
         self.events, self.seated = events or Nobody(), seated
+        seat.mark = self.events.mark
         self.adapted: TensorDict | None = None
         places = order_of(plan.participants, len(plan.conditions), plan.seed)[participant.place]
         self.order = [plan.conditions[i] for i in np.argsort(places)]
@@ -180,7 +185,7 @@ class Session:
         seat, table = self.seat, Table()
         self.seated(NO_CONDITION)
         rink = Rink(seat, self.plan.opponent, table, self._serves(NO_CONDITION, purpose=4))
-        seat.moment.title, seat.moment.note = "Practice: return when you have had enough", ""
+        seat.moment = Moment(title="Practice: return when you have had enough")
         rink.new_games()
         won = lost = 0
         self.events.mark("practice")
@@ -199,26 +204,29 @@ class Session:
         plan, seat, table = self.plan, self.seat, Table()
         own = self.adapted if name != UNSCORED else None
         guide, overheard = overheard_guide(condition, plan.models, own, plan.lookahead_seconds)
-        log = TickLog(overheard, table.tick, felt=lambda: seat.hand.force)
+        log = TickLog(overheard, table.tick, seat.hand)
         facts = scene_facts(condition, self.participant.label, plan.opponent_label, own is not None)
+        facts |= {"device": plan.device, "questions": dict(plan.questions), "scale": list(plan.scale)}
         self.seated(game)
         with self.participant.begin_game(name, position, COLUMNS, facts) as recording:
             self.events.mark(f"begin {name}")
-            seat.moment.title, seat.moment.note = title, ""
-            played = play_games(
-                seat,
-                plan.opponent,
-                guide,
-                plan.protocol,
-                table,
-                self._serves(game),
-                watching=lambda tick, scored, ended: self._watch(log, recording, tick, scored, ended),
-            )
+            seat.moment = Moment(title=title)
+
+            def watching(tick: Tick, scored: bool, ended: np.ndarray) -> None:
+                self._watch(log, recording, tick, scored, ended)
+
+            try:
+                played = play_games(
+                    seat, plan.opponent, guide, plan.protocol, table, self._serves(game), watching=watching
+                )
+            except BaseException:
+                self.events.mark(f"interrupted {name}")
+                raise
             results = {**played.results, **played.weights, "rounds": played.rounds, "duration_s": played.seconds}
             numbers = {key: float(values[0]) for key, values in results.items()}
             if not condition.guidance.models():
                 numbers["mean_disagreement"] = float("nan")  # there is no force to disagree with (section 5.2)
-            recording.finish(numbers)
+            recording.finish(numbers, {"late_ticks": seat.late, "pauses": seat.pauses, "faults": seat.faults})
         self.events.mark(f"end {name}")
 
     def _watch(self, log: TickLog, recording: Recording, tick: Tick, scored: bool, ended: np.ndarray) -> None:
@@ -241,9 +249,8 @@ class Session:
     def _rate(self, name: str, title: str) -> None:
         low, high = self.plan.scale
         ratings = self.desk.ask(Items(f"{title}: how was the guidance?", self.plan.questions, low, high))
-        said = ""
+        self.participant.save_ratings(name, ratings)
+        self.events.mark(f"rated {name}")
         if self.plan.interview:
             text = "For the experimenter: what did the person say about this game? Return when done; may stay empty."
-            said = self.desk.write_down(Page(f"{title}: interview", text, {}))
-        self.participant.save_ratings(name, ratings, said)
-        self.events.mark(f"rated {name}")
+            self.participant.save_ratings(name, ratings, self.desk.write_down(Page(f"{title}: interview", text, {})))

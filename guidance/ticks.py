@@ -3,7 +3,7 @@
 Films are drawn from such a table, replays are played from it, and user adaptation learns from it.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
@@ -19,6 +19,7 @@ from guidance.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidance, Gui
 from guidance.games import Tick
 from guidance.guide import Guide
 from guidance.models import Models
+from guidance.seat import Hand
 from guidance.users.arm import HAND_REACH
 
 STATE = [f"{body}_{part}" for body in ("own", "other", "puck") for part in ("x", "y", "vx", "vy")]
@@ -49,6 +50,7 @@ _MEANINGS = {
     "won": ("rounds that the person has won, with this tick", "1"),
     "lost": ("rounds that the opponent has won, with this tick", "1"),
     "goal": ("1 if the person scored in this tick, -1 if the opponent did, else 0", "1"),
+    "held": ("1 if the hand was at the device", "1"),
     "hand_x": ("where the hand was, from the centre of its workspace toward the opponent", "m"),
     "hand_y": ("where the hand was, to the left", "m"),
     **_PADDLES,
@@ -118,17 +120,15 @@ class TickLog:
 
     Args:
         tick_seconds: s.
-        felt: the force that acts on the hand, N; where it is what the guidance asks for, None.
+        hand: whose force and grip are written down; where nothing is between guidance and hand, None.
 
     Attributes:
         rows: one per tick, see `COLUMNS`; those that have not been taken.
         time, round, won, lost, scored: how it stands.
     """
 
-    def __init__(
-        self, overheard: Overheard, tick_seconds: float, felt: Callable[[], tuple[float, float]] | None = None
-    ) -> None:
-        self.overheard, self.tick_seconds, self.felt, self.rows = overheard, tick_seconds, felt, []
+    def __init__(self, overheard: Overheard, tick_seconds: float, hand: Hand | None = None) -> None:
+        self.overheard, self.tick_seconds, self.hand, self.rows = overheard, tick_seconds, hand, []
         self.time, self.round, self.won, self.lost, self.scored = 0.0, 1, 0, 0, False
 
     def __call__(self, tick: Tick, scored: bool, ended: bool) -> dict[str, float]:
@@ -140,11 +140,12 @@ class TickLog:
         self.won, self.lost = self.won + (goal > 0), self.lost + (goal < 0)
         row: dict[str, float] = {"time_s": round(self.time, 6), "scored": int(scored), "round": self.round}
         row |= {"won": self.won, "lost": self.lost, "goal": goal}
+        row |= {"held": 1 if self.hand is None else int(self.hand.held)}
         optimal, predicted = self.overheard.optimal, self.overheard.predicted
         pairs = {"hand": HAND_REACH * tick.before[0], "optimal": optimal.mean[0], "optimal_std": optimal.std[0]}
         pairs |= {"predicted": predicted.mean[0], "predicted_std": predicted.std[0]}
         force = tick.guided.force[0]
-        pairs |= {"force": force, "felt": force if self.felt is None else self.felt(), "action": tick.action[0]}
+        pairs |= {"force": force, "felt": force if self.hand is None else self.hand.force, "action": tick.action[0]}
         row |= {
             f"{name}_{axis}": float(value)
             for name, pair in pairs.items()

@@ -93,16 +93,18 @@ def recorded(run: Path, game: str | None, start: float, seconds: float) -> tuple
         file = run.with_suffix(".tsv")
         facts = load_json(run.with_suffix(".json"))["Facts"]
     else:
-        games = {
-            name: found
-            for folder in found_below([run], "*_beh.json")
-            for name, found in games_in(folder.parent).items()
-        }
+        folders = sorted({file.parent for file in found_below([run], "*_beh.json")})
+        if len(folders) > 1:
+            raise ValueError(f"run = {run} has the games of several people: name the folder of one")
+        games = games_in(folders[0])
+        if not games:
+            raise ValueError(f"run = {run} has no whole game; one that was broken off is shown by the name of its .tsv")
         if game is not None and game not in games:
             raise ValueError(f"game = {game} must be one of {', '.join(games)}")
         chosen = games[list(games)[-1] if game is None else game]
         file, facts = chosen.file, chosen.facts
     ticks = read_ticks(file)
+    ticks = ticks[ticks["scored"] == 1]  # time begins anew after the familiarisation
     ticks = ticks[(ticks["time_s"] > start) & (ticks["time_s"] <= start + seconds)].reset_index(drop=True)
     if ticks.empty:
         raise ValueError(f"start = {start}: {file} has nothing then")

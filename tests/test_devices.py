@@ -13,6 +13,8 @@ from guidance.devices.gamepad import RUMBLE_MS, Gamepad, open_gamepad
 from guidance.devices.mouse import Mouse
 from guidance.devices.pointed import FASTEST, PointedHand, median_person
 from guidance.devices.simulated import Simulated
+from guidance.safety import Limits
+from guidance.servo import Inline
 from guidance.users import Population, Users, personal_streams, sample_people
 from guidance.users.arm import HAND_REACH
 
@@ -242,7 +244,13 @@ def test_a_pad_that_is_gone_is_not_held(how):
         pad.here, pad.broken = how != "quit", how == "error"
     pass_time(device, 0.2)
     assert not device.held
-    assert device.position == (HAND_REACH, 0.0)  # where it was
+    with pytest.raises(DeviceError, match="the gamepad is gone"):
+        device.position  # noqa: B018
+    servo = Inline(device, Limits())
+    servo.push((1.0, 0.0))
+    servo.advance(5, np.zeros(12))
+    assert servo.fault == "the device failed: the gamepad is gone; leave, plug it in, and go on"
+    assert servo.force == (0.0, 0.0) and not servo.release()
 
 
 def test_closing_a_pad_stops_its_rumble():

@@ -80,7 +80,9 @@ def test_what_is_recorded_says_what_was_played(two):
     assert len(ticks) - len(game) == 50  # the familiarisation, 1 s in this preset
     assert np.isclose(game["w_unc_optimal"].mean(), row["w_unc_optimal_mean"])
     assert about["Condition"] == "oahg_ut" and about["Ratings"] == {name: row[name] for name in RATINGS}
-    assert about["Facts"]["title"] == "OAHG (UT)"
+    assert about["Facts"]["title"] == "OAHG (UT)" and about["Facts"]["questions"].keys() == set(RATINGS)
+    assert (about["Facts"]["pauses"], about["Facts"]["faults"], about["Facts"]["late_ticks"]) == (0, [], 0)
+    assert (ticks["held"] == 1).all()
     assert "oahg" not in json.dumps(json.loads((two / "records" / "participants.json").read_text())).lower()
 
 
@@ -91,14 +93,18 @@ def test_the_report_takes_the_records_as_they_are(two):
 
 
 def test_somebody_withdraws(two):
+    """Whatever else the command says: who wants to go need not know the study's configuration."""
     folder = two / "records"
+    nowhere = here(lab.main, "participant=S1", "withdraw=true", f"records={two}/nowhere", f"hydra.run.dir={two}/run")
+    assert nowhere[0] == 2 and "holds no study" in nowhere[2] and not (two / "nowhere").exists()
     code, _, complained = take_part(two, "S3", "withdraw=true")
     assert code == 2 and "withdraw = S3 must be one of those enrolled: S1, S2" in complained
     assert take_part(two, "new")[0] == 0
     (label,) = {path.name for path in folder.glob("sub-*")} - {"sub-S1", "sub-S2"}
     place = pd.read_csv(folder / "participants.tsv", sep="\t").set_index("participant_id")["place"]
     assert place[label] == 2
-    assert take_part(two, label.removeprefix("sub-"), "withdraw=true")[0] == 0
+    who = f"participant={label.removeprefix('sub-')}", "withdraw=true"
+    assert here(lab.main, *who, f"records={folder}", f"hydra.run.dir={two}/run", "device=mouse", "opponent=3")[0] == 0
     left = "".join(path.read_text() for path in folder.rglob("*") if path.is_file())
     assert not (folder / label).exists() and label.removeprefix("sub-") not in left
     assert set(pd.read_csv(folder / "trials.csv")["user"]) == {"S1", "S2"}
@@ -152,8 +158,15 @@ class Reader(Window):
 
     def page(self, page) -> str:
         self.read.append((page.title, page.text))
-        self.press(next(key for key in (*self.answer, *page.keys) if key in page.keys))
         return super().page(page)
+
+    def _part(self, page) -> str:
+        self.press(next(key for key in (*self.answer, *page.keys) if key in page.keys))
+        return super()._part(page)
+
+    def _wait(self) -> None:
+        assert self.clock.now() < 3600, "a page waits for ever"
+        super()._wait()
 
     def ask(self, items) -> dict[str, int]:
         self.read.append((items.title, " ".join(items.items.values())))
@@ -196,12 +209,14 @@ def test_who_does_not_consent_plays_nothing(at_a_window):
     window, said = session(answer=("n",))
     assert "P1 does not take part" in said and [title for title, _ in window.read] == ["Before you take part"]
     assert not list(folder.glob("sub-*")) and "P1" not in (folder / "participants.tsv").read_text()
+    assert json.loads((folder / "manifest.json").read_text())["withdrawals"] == 0
+    assert "P1" not in "".join(path.read_text() for path in folder.parent.rglob("*") if path.is_file())
 
 
 def test_a_session_at_a_window_shows_every_page_and_never_the_condition(at_a_window):
     session, folder = at_a_window
     window, said = session(leave_at=30.0)  # in some game
-    assert "It goes on with the same command." in said
+    assert "It goes on with participant=P1." in said
     begun = len(pd.read_csv(folder / "trials.csv"))
     assert 1 <= begun < 9
     again, said = session(leave_at=float("inf"))
@@ -222,7 +237,7 @@ def test_without_its_device_nobody_is_enrolled(tmp_path):
         where = f"records={tmp_path}/{device}", f"hydra.run.dir={tmp_path}/run"
         code, _, complained = here(lab.main, "participant=new", f"device={device}", *where)
         assert code == 2 and complained.startswith("error: device: ") and complained.count("\n") == 1, complained
-        assert "P" not in (tmp_path / device / "participants.tsv").read_text()
+        assert not (tmp_path / device).exists()  # and no study begun, which another device could then not go on with
 
 
 @pytest.mark.parametrize(
@@ -247,7 +262,7 @@ def test_wrong_values_end_in_one_line_and_leave_nothing(monkeypatch, capsys, tmp
     device = [] if any(argument.startswith("device=") for argument in arguments) else ["device=simulated"]
     run = ["window=false", f"records={tmp_path}/records", f"hydra.run.dir={tmp_path}/run"]
     monkeypatch.setattr(sys, "argv", ["lab", *device, *given, *run, *arguments])
-    monkeypatch.setattr(lab, "hold", None)
+    monkeypatch.setattr(lab, "Session", None)
     with pytest.raises(SystemExit) as stopped:
         lab.main()
     shown = capsys.readouterr().err
@@ -256,8 +271,9 @@ def test_wrong_values_end_in_one_line_and_leave_nothing(monkeypatch, capsys, tmp
 
 
 def test_there_are_as_many_places_as_the_order_is_balanced_for(two):
-    code, _, complained = take_part(two, "S9", "participants=2")
-    assert code == 2 and "study_hash" in complained  # another study: not in these records
+    for other in ("participants=2", "scale=[wenig,viel]", "safety.force=2", "breath=2"):
+        code, _, complained = take_part(two, "S9", other)
+        assert code == 2 and "study_hash" in complained  # another study: not in these records
     folder = two / "full"
     assert take_part(folder, "S1", "participants=1")[0] == 0
     code, _, complained = take_part(folder, "S2", "participants=1")

@@ -6,7 +6,7 @@ import numpy as np
 import pygame
 import pytest
 import torch
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airhockey_marl.render import COLOURS, FELT
@@ -131,6 +131,7 @@ def test_targets_are_shown_when_asked_for_and_only_where_they_may_be(window):
     assert marked() == [False, False]
 
 
+@settings(deadline=None)
 @given(action=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), width=st.integers(NARROWEST, 2000))
 def test_the_pointer_asks_for_the_place_under_it(action, width):
     arena = ARENAS.setdefault(width // 400, None) or _arena(width // 400)
@@ -215,6 +216,40 @@ def test_full_screen_and_back_keeps_the_picture(window):
 def test_a_page_waits_for_one_of_its_keys(window):
     press("x", "y", "return")
     assert window.page(Page("Title", "Text", {"y": "yes", "n": "no"})) == "y"
+
+
+def test_a_long_text_is_several_pages_and_none_of_it_is_lost(window):
+    words = [f"word{i}" for i in range(2000)]
+    parts = Page("Title", " ".join(words), {"y": "yes", "n": "no"}).parts(window.size)
+    assert len(parts) > 2 and " ".join(part.text.replace("\n", " ") for part in parts).split() == words
+    assert [list(part.keys) for part in parts] == [["space"]] * (len(parts) - 1) + [["y", "n"]]
+    for part in parts:
+        part.draw(window.surface)
+        assert (window.screenshot()[-20:] == PAPER).all()
+    press("y", *["space"] * (len(parts) - 1), "n")
+    assert window.page(Page("Title", " ".join(words), {"y": "yes", "n": "no"})) == "n"
+
+
+def test_escape_empties_a_line_and_then_leaves(window):
+    press("a", "b", "escape", "c", "return")
+    assert window.write_down(Page("Interview", "What?", {})) == "c"
+    press("escape")
+    with pytest.raises(Leave):
+        window.write_down(Page("Interview", "What?", {}))
+
+
+def test_the_mouse_can_be_seen_where_it_answers(window):
+    window.toggle_fullscreen()
+    press("1", "2", "3", "4", "enter")
+    window.ask(Items("How was it?", ITEMS, "not at all", "very much"))
+    window.toggle_fullscreen()
+    assert pygame.mouse.get_visible()
+
+
+def test_before_a_game_there_is_an_empty_table(window):
+    window.frame(Moment(title="Game 1 of 9"))
+    picture = window.screenshot().astype(int)[BAR : BAR + window.arena.size[1]]
+    assert not any((picture == COLOURS[body]).all(axis=2).any() for body in (PUCK, RIGHT))
 
 
 def test_a_questionnaire_by_keys(window):

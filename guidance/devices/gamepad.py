@@ -1,11 +1,12 @@
 """A gamepad: the left stick points the hand, the force deflects it from there, and the pad rumbles as strongly."""
 
+from contextlib import suppress
 from math import hypot
 from typing import Protocol
 
 import numpy as np
 
-from guidance.devices import DeviceError
+from guidance.devices import DeviceError, Pair
 from guidance.devices.pointed import FASTEST, PointedHand
 from guidance.users.arm import HAND_REACH
 
@@ -82,6 +83,17 @@ class Gamepad(PointedHand):
         """Whether the pad is connected."""
         return self._connected
 
+    @property
+    def position(self) -> Pair:
+        """(2,) m, the hand from the centre.
+
+        Raises:
+            DeviceError: the pad is gone.
+        """
+        if not self._connected:
+            raise DeviceError("the gamepad is gone; leave, plug it in, and go on")
+        return super().position
+
     def unplugged(self, instance_id: int) -> None:
         """Be told that this pad is gone (`pygame.JOYDEVICEREMOVED`): a stick that is gone reads as one let go."""
         if self._connected and instance_id == self._joystick.get_instance_id():
@@ -105,8 +117,9 @@ class Gamepad(PointedHand):
         self.relax()
         if self._connected:
             self._connected = False
-            self._joystick.stop_rumble()
-            self._joystick.quit()
+            with suppress(RuntimeError):  # pygame may be over
+                self._joystick.stop_rumble()
+                self._joystick.quit()
 
     def _read(self) -> None:
         right, up = self._joystick.get_axis(RIGHT), -self._joystick.get_axis(DOWN)

@@ -6,13 +6,9 @@ from guidance.devices.pointed import PointedHand
 
 
 class Mouse(PointedHand):
-    """A `VirtualDevice` whose hand is the mouse's pointer, see `PointedHand`.
+    """A `VirtualDevice` whose hand is the mouse's pointer, see `PointedHand`."""
 
-    Attributes:
-        held: whether the window has the focus; the window sets it.
-    """
-
-    held = True
+    held = True  # what is pushed says whether the window has the focus
 
     def advance(self, seconds: float, state: np.ndarray) -> None:
         """Let time pass; the game does not matter to it."""

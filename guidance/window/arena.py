@@ -56,6 +56,9 @@ class Arena:
     def draw(self, surface: pygame.Surface, moment: Moment, overlay: bool, force: bool) -> None:
         """Draw a moment, with the models' targets if `overlay` says so, and the force if `force` does."""
         surface.blit(self._table, (0, 0))
+        if moment.state is None:
+            self._way = []
+            return
         then, now = moment.last.reshape(3, 4)[:, :2], moment.state.reshape(3, 4)[:, :2]
         places = [self.pixel(place) for place in then + moment.share * (now - then)]
         self._draw_way(surface, places[2])

@@ -13,6 +13,8 @@ from guidance.window.paint import font, wrapped, write
 MARGIN, TITLE, TEXT, KEY = 70, 30, 19, 19  # px
 FADED = (90, 96, 104)
 POINTS = range(1, 8)  # of a rating
+READABLE = 15  # px, the smallest letters of a text
+NEXT = {"space": "next page"}
 
 
 @dataclass(frozen=True)
@@ -22,6 +24,21 @@ class Page:
     title: str
     text: str
     keys: Mapping[str, str]
+
+    def parts(self, size: tuple[int, int]) -> list["Page"]:
+        """Itself, or if its text is too long for a surface of this size, several pages; the last has the keys.
+
+        No letters are smaller than can be read.
+        """
+        width = size[0] - 2 * MARGIN
+        room = size[1] - 2 * MARGIN - 2 * TITLE - round(1.9 * KEY) * max(len(self.keys), 1) - 3 * KEY
+        lines, most = wrapped(self.text, READABLE, width), int(room / (1.5 * READABLE))
+        if len(lines) <= most:
+            return [self]
+        texts = ["\n".join(lines[i : i + most]).strip("\n") for i in range(0, len(lines), most)]
+        titles = [f"{self.title} ({i} of {len(texts)})" for i in range(1, len(texts) + 1)]
+        first = [Page(title, text, NEXT) for title, text in zip(titles[:-1], texts[:-1], strict=True)]
+        return [*first, Page(titles[-1], texts[-1], self.keys)]
 
     def draw(self, surface: pygame.Surface, typed: str | None = None) -> None:
         """Draw the page over everything; with `typed`, also a line on which that is written."""
@@ -59,7 +76,7 @@ class Page:
 
     def _size(self, width: int, height: float) -> int:
         """The largest size of letters, up to `TEXT`, in which the text fits."""
-        sizes = range(TEXT, 10, -1)
+        sizes = range(TEXT, READABLE - 1, -1)
         return next((size for size in sizes if len(wrapped(self.text, size, width)) * 1.5 * size <= height), sizes[-1])
 
 

@@ -66,6 +66,7 @@ class Window:
         self.next_frame, self.cost = clock.now(), 0.0
         self.overlay, self.helping, self.frame_times = False, False, []
         self._last_frame, self._pressed, self._leave, self._focused = None, [], False, True
+        self._early: list[str] = []  # pressed before the page was there that they are for
 
     def _open(self, fullscreen: bool) -> pygame.Surface:
         full = pygame.FULLSCREEN | pygame.SCALED if fullscreen else 0
@@ -112,21 +113,30 @@ class Window:
         return keys
 
     def page(self, page: Page) -> str:
-        """Show a page until one of its keys is pressed; returns it.
+        """Show a page, a long one in parts, until one of its keys is pressed; returns it.
 
         Raises:
-            Leave: the window was closed, or escape pressed where the page has no use for it.
+            Leave: the window was closed, or escape pressed.
         """
+        for part in page.parts(self.size):
+            key = self._part(part)
+        return key
+
+    def _part(self, page: Page) -> str:
         while True:
             self._wait()
-            for key in self._take(escape="escape" not in page.keys):
+            names = self._take()
+            for nth, key in enumerate(names):
                 if key in page.keys:
+                    self._early = names[nth + 1 :]
                     return key
+                self._own(key)
             page.draw(self.surface)
             self._flip(self.clock.now())
 
     def ask(self, items: Items) -> dict[str, int]:
         """Show a questionnaire until every item is answered and confirmed; returns the answers."""
+        pygame.mouse.set_visible(True)
         while True:
             self._wait()
             self.poll()
@@ -136,18 +146,28 @@ class Window:
                 elif event.type == pygame.KEYDOWN:
                     items.press(pygame.key.name(event.key))
             if items.confirmed:
+                pygame.mouse.set_visible(not pygame.display.is_fullscreen())
                 return items.answers
             items.draw(self.surface)
             self._flip(self.clock.now())
 
     def write_down(self, page: Page) -> str:
-        """Show a page with a line to write on, until return is pressed; returns what was written."""
+        """Show a page with a line to write on, until return is pressed; returns what was written.
+
+        Raises:
+            Leave: the window was closed, or escape pressed on an empty line; on another it empties it.
+        """
         text = ""
         while True:
             self._wait()
             self.poll()
-            for event in self._events():
+            for event in self._events(escape=False):
                 if event.type != pygame.KEYDOWN:
+                    continue
+                if event.key == pygame.K_ESCAPE:
+                    if not text:
+                        raise Leave
+                    text = ""
                     continue
                 if event.key in (pygame.K_RETURN, pygame.K_KP_ENTER):
                     return text.strip()
@@ -171,23 +191,22 @@ class Window:
         forget()
         pygame.quit()
 
-    def _events(self) -> list[pygame.event.Event]:
+    def _events(self, escape: bool = True) -> list[pygame.event.Event]:
         pressed, self._pressed = self._pressed, []
-        if self._leave or any(event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE for event in pressed):
+        away = escape and any(event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE for event in pressed)
+        if self._leave or away:
             self._leave = False
             raise Leave
         return pressed
 
-    def _take(self, escape: bool = True) -> list[str]:
-        """Names of the keys that were pressed; the first button of a gamepad is space."""
+    def _take(self) -> list[str]:
+        """Names of the keys that were pressed; the first button of a gamepad is space, both enters are return."""
         self.poll()
-        names = []
-        pressed = self._events() if escape else self._pressed
-        if not escape:
-            self._pressed = []
-        for event in pressed:
+        names, self._early = self._early, []
+        for event in self._events():
             if event.type == pygame.KEYDOWN:
-                names.append(pygame.key.name(event.key))
+                name = pygame.key.name(event.key)
+                names.append("return" if name == "enter" else name)
             elif event.type == pygame.JOYBUTTONDOWN:
                 names.append("space" if event.button == 0 else f"button {event.button}")
         return names
