@@ -16,7 +16,6 @@ import sys
 import time
 from pathlib import Path
 
-import hydra
 import numpy as np
 import pandas as pd
 import torch
@@ -27,6 +26,7 @@ from torchrl.envs import EnvBase
 from tqdm import tqdm
 
 from airhockey_marl.anchors import ANCHORS
+from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import InputError, command, config_of, input_errors, require_counts, require_numbers
 from airhockey_marl.env import make_env, serve_streams
@@ -74,8 +74,8 @@ def main(cfg: DictConfig) -> None:
         check(cfg)
         torch.manual_seed(cfg.seed)
         policy = GaussianPolicy(cfg.hidden, cfg.inputs)
-        algorithm: Algorithm = hydra.utils.instantiate(cfg.algorithm)
-        sampler: Sampler = hydra.utils.instantiate(cfg.league.sampler)
+        algorithm: Algorithm = build(cfg.algorithm)
+        sampler: Sampler = build(cfg.league.sampler)
         env = make_env(cfg.env.backend, cfg.env.tables, cfg.env.round_seconds, cfg.env.decision_ticks, cfg.seed)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
     league, seconds = train(cfg, folder, env, policy, algorithm, sampler)

@@ -15,7 +15,6 @@ import time
 from functools import partial
 from pathlib import Path
 
-import hydra
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
@@ -24,6 +23,7 @@ from torch import nn
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
+from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import (
     InputError,
@@ -75,7 +75,7 @@ def main(cfg: DictConfig) -> None:
             cfg = config_of(Path(cfg.resume), STATE)
         check(cfg)
         check_variant(cfg.users.variant)
-        population: Population = hydra.utils.instantiate(cfg.users.population)
+        population: Population = build(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
         opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
         torch.manual_seed(cfg.seed)

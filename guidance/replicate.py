@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import hydra
 import numpy as np
 import pandas as pd
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import (
     InputError,
     ProgressBar,
@@ -91,11 +91,11 @@ def main(cfg: DictConfig) -> None:
         if cfg.resume is not None:
             cfg = config_of(Path(cfg.resume), STATE)
         check(cfg)
-        population: Population = hydra.utils.instantiate(cfg.users.population)
+        population: Population = build(cfg.users.population)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
         opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
         mentors = load_mentors(cfg.users.mentors)
-        conditions, protocol = chosen_conditions(cfg), hydra.utils.instantiate(cfg.study)
+        conditions, protocol = chosen_conditions(cfg), build(cfg.study)
         factors = assumptions(cfg, population)
     torch.set_num_threads(cfg.threads)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)

@@ -16,6 +16,7 @@ import pygame
 import pytest
 from hydra import compose, initialize_config_dir
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import CONF
 from airhockey_marl.table import Table
 from guidance import evaluate, lab, report
@@ -186,7 +187,7 @@ def at_a_window(tmp_path):
         cfg = compose("lab", overrides)
     models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
     plan = lab.plan_of(cfg, models)
-    people = lab.sample_people(cfg.participants, cfg.seed, lab.hydra.utils.instantiate(cfg.users.population))
+    people = lab.sample_people(cfg.participants, cfg.seed, build(cfg.users.population))
 
     def session(answer: tuple[str, ...] = ("y", "return"), leave_at: float | None = None) -> tuple[Reader, bool | None]:
         clock, taken = Experimenter(), None
