@@ -15,6 +15,8 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
 
+from airhockey_marl.files import UNWRITABLE, Unwritten
+
 ROOT = Path(__file__).resolve().parents[1]
 CONF = ROOT / "conf"  # absolute: a relative path means something else under a console script
 
@@ -78,7 +80,8 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
     """Turn a function of a configuration into a command configured by `conf/<name>.yaml`.
 
     Wrong values, whether Hydra finds them or the function does (`InputError`), end in one line on standard error
-    and exit code 2. Anything else is a bug and keeps its traceback.
+    and exit code 2. So do, with exit code 1, a disk that is full or may not be written to, and a training whose numbers
+    are none any more. Anything else is a bug and keeps its traceback.
     """
 
     def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
@@ -106,6 +109,14 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
                 except (InputError, OmegaConfBaseException) as error:
                     _say_error(str(error))
                     sys.exit(2)
+                except FloatingPointError as error:
+                    _say_error(str(error))
+                    sys.exit(1)
+                except OSError as error:
+                    if not isinstance(error, Unwritten) and error.errno not in UNWRITABLE:
+                        raise
+                    _say_error(error.strerror if error.filename is None else f"{error.filename}: {error.strerror}")
+                    sys.exit(1)
 
             os.environ.setdefault("HYDRA_FULL_ERROR", "0")
             # Hydra reports a wrong override over many lines; hold them back until the task starts.

@@ -21,11 +21,11 @@ import pandas as pd
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs import EnvBase
 from tqdm import tqdm
 
 from airhockey_marl.anchors import ANCHORS
+from airhockey_marl.board import open_board
 from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import InputError, command, config_of, input_errors, require_counts, require_numbers
@@ -33,6 +33,7 @@ from airhockey_marl.env import make_env, serve_streams
 from airhockey_marl.files import write_json, write_text
 from airhockey_marl.league import League, Member
 from airhockey_marl.learner import Algorithm
+from airhockey_marl.lock import locked
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.samplers import Sampler
 from airhockey_marl.selfplay import Pool, Practice, results_against
@@ -78,9 +79,10 @@ def main(cfg: DictConfig) -> None:
         sampler: Sampler = build(cfg.league.sampler)
         env = make_env(cfg.env.backend, cfg.env.tables, cfg.env.round_seconds, cfg.env.decision_ticks, cfg.seed)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    league, seconds = train(cfg, folder, env, policy, algorithm, sampler)
-    made_by = " ".join(["python -m airhockey_marl.train", *HydraConfig.get().overrides.task])
-    write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **card(cfg, league)})
+    with locked(folder, "run"):
+        league, seconds = train(cfg, folder, env, policy, algorithm, sampler)
+        made_by = " ".join(["python -m airhockey_marl.train", *HydraConfig.get().overrides.task])
+        write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **card(cfg, league)})
 
 
 def train(
@@ -111,7 +113,7 @@ def train(
         pool.goals = dict(facts["goals"])
         pool.league = written.until(done)
     # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
-    board = SummaryWriter(str(folder / "tensorboard"), purge_step=done * cfg.steps_per_generation + 1)
+    board = open_board(folder / "tensorboard", done * cfg.steps_per_generation + 1)
     began = time.perf_counter() - seconds
     todo = range(done + 1, cfg.generations + 1)
     bar = tqdm(todo, desc="generation", initial=done, total=cfg.generations, file=sys.stderr, disable=None)

@@ -39,6 +39,7 @@ from airhockey_marl.cli import (
 from airhockey_marl.files import replacing, write_json, write_text
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
+from airhockey_marl.lock import locked
 from airhockey_marl.page import template
 from airhockey_marl.table import Table
 from guidance.figures import robustness_map, save_figure
@@ -99,34 +100,35 @@ def main(cfg: DictConfig) -> None:
         factors = assumptions(cfg, population)
     torch.set_num_threads(cfg.threads)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    command_line = " ".join(["python -m guidance.replicate", *HydraConfig.get().overrides.task])
-    facts = manifest(cfg, hashes_of(cfg, models), command_line, 0.0)
-    facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
-    write_json(folder / STATE, facts)
-    with replacing(folder / "factors.csv") as temporary:
-        factors.to_csv(temporary, index_label="study")
+    with locked(folder, "run"):
+        command_line = " ".join(["python -m guidance.replicate", *HydraConfig.get().overrides.task])
+        facts = manifest(cfg, hashes_of(cfg, models), command_line, 0.0)
+        facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
+        write_json(folder / STATE, facts)
+        with replacing(folder / "factors.csv") as temporary:
+            factors.to_csv(temporary, index_label="study")
 
-    progress, began = ProgressBar(), time.perf_counter()
-    batches = batches_of(cfg)
-    scales = OmegaConf.to_container(cfg.users.scales)
-    for i, batch in enumerate(batches):
-        if (file := batch.file(folder)).is_file():
-            continue
-        populations = [batch.population(population, factors, study) for study in batch.studies]
-        cohorts = [
-            Cohort(sample_people(cfg.participants, cfg.seed + study, drawn_from), cfg.seed + study)
-            for study, drawn_from in zip(batch.studies, populations, strict=True)
-        ]
-        told = partial(_tell, progress, f"batch {i + 1} of {len(batches)}")
-        how = (cfg.guidance.lookahead, protocol, Table(), batch.variant, mentors, scales, told)
-        trials = run_studies(cohorts, conditions, models, opponent, *how, swapped=batch.group == SWAPPED)
-        numbered = [t.assign(group=batch.group, study=k) for k, t in zip(batch.studies, trials, strict=True)]
-        with replacing(file) as temporary:
-            pd.concat(numbered).to_csv(temporary, index=False)
-    progress.close()
-    write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
-    print(summarise(folder, cfg, facts, factors))
-    print(f"\nreport: {folder / 'replicate.html'}")
+        progress, began = ProgressBar(), time.perf_counter()
+        batches = batches_of(cfg)
+        scales = OmegaConf.to_container(cfg.users.scales)
+        for i, batch in enumerate(batches):
+            if (file := batch.file(folder)).is_file():
+                continue
+            populations = [batch.population(population, factors, study) for study in batch.studies]
+            cohorts = [
+                Cohort(sample_people(cfg.participants, cfg.seed + study, drawn_from), cfg.seed + study)
+                for study, drawn_from in zip(batch.studies, populations, strict=True)
+            ]
+            told = partial(_tell, progress, f"batch {i + 1} of {len(batches)}")
+            how = (cfg.guidance.lookahead, protocol, Table(), batch.variant, mentors, scales, told)
+            trials = run_studies(cohorts, conditions, models, opponent, *how, swapped=batch.group == SWAPPED)
+            numbered = [t.assign(group=batch.group, study=k) for k, t in zip(batch.studies, trials, strict=True)]
+            with replacing(file) as temporary:
+                pd.concat(numbered).to_csv(temporary, index=False)
+        progress.close()
+        write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
+        print(summarise(folder, cfg, facts, factors))
+        print(f"\nreport: {folder / 'replicate.html'}")
 
 
 def check(cfg: DictConfig) -> None:
