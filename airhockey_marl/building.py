@@ -35,6 +35,8 @@ def build(node: DictConfig | ListConfig, **changes: Any) -> Any:
     Raises:
         InputError: it names something else than the classes above; names where, and what. Nothing was imported.
     """
+    if not OmegaConf.is_config(node):
+        raise InputError(f"{node!r} must be a part of the configuration with a _target_")
     place = node._get_full_key("") or "configuration"
     for key, target in [*_targets(OmegaConf.to_container(node, resolve=True), place), *_targets(changes, place)]:
         if not allowed(target):

@@ -14,6 +14,7 @@ from hydra.errors import InstantiationException
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
+from yaml import YAMLError
 
 from airhockey_marl.files import UNWRITABLE, Unwritten
 
@@ -173,7 +174,13 @@ def config_of(run: Path, state: str) -> DictConfig:
     """
     if not (run / state).is_file() or not (run / ".hydra" / "config.yaml").is_file():
         raise ValueError(f"resume = {run} is not the folder of a run that can go on: it has no {state}")
-    cfg = OmegaConf.load(run / ".hydra" / "config.yaml")
+    file = run / ".hydra" / "config.yaml"
+    try:
+        cfg = OmegaConf.load(file)
+    except (YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"{file} is no yaml: {' '.join(str(error).split())[:200]}") from error
+    if not isinstance(cfg, DictConfig) or "resume" not in cfg:
+        raise ValueError(f"{file} is not the configuration of a run that can go on")
     cfg.resume = str(run)
     return cfg
 

@@ -20,6 +20,9 @@ from safetensors.torch import save_file
 UNWRITABLE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 
 
+HASH = "sha256_of_all_this"  # among a file's facts; older files have none
+
+
 class Unwritten(OSError):
     """Something was not written; the message names it, and says what of it is left."""
 
@@ -121,20 +124,33 @@ def sha256(path: Path | str) -> str:
 
 
 def save_tensors(path: Path | str, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any] | None = None) -> None:
-    """Save named tensors as safetensors; `facts` (any JSON) travels in the header and says what they are."""
+    """Save named tensors as safetensors; `facts` (any JSON) travels in the header and says what they are.
+
+    So does a hash of both: safetensors has no checksum, and a bit that a disk has turned would be a weight.
+    """
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
+    said = dict(facts or {})
+    said = json.dumps(said | {HASH: _digest(contiguous, said)})  # one text: of two the library's order is random
     with replacing(path) as temporary:
         try:
-            save_file(contiguous, temporary, metadata={"facts": json.dumps(dict(facts or {}))})
+            save_file(contiguous, temporary, metadata={"facts": said})
         except SafetensorError as error:  # which an OSError is inside the library
             raise OSError(errno.EIO, str(error)) from error
+
+
+def _digest(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> str:
+    digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
+    for name, tensor in sorted(tensors.items()):
+        digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
+        digest.update(tensor.reshape(-1).view(torch.uint8).numpy())
+    return digest.hexdigest()
 
 
 def load_tensors(path: Path | str) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
     """Load what `save_tensors` wrote: the named tensors and the facts.
 
     Raises:
-        ValueError: the file is missing, truncated or not in safetensors format.
+        ValueError: the file is missing, truncated, damaged or not in safetensors format.
     """
     path = Path(path)
     if not path.is_file():
@@ -142,6 +158,11 @@ def load_tensors(path: Path | str) -> tuple[dict[str, torch.Tensor], dict[str, A
     try:
         with safe_open(path, framework="pt") as handle:
             facts = json.loads((handle.metadata() or {}).get("facts", "{}"))
-            return {name: handle.get_tensor(name) for name in handle.keys()}, facts  # noqa: SIM118 (no dict)
-    except (SafetensorError, json.JSONDecodeError) as error:
+            if not isinstance(facts, dict):
+                raise ValueError(f"{path}: its facts are a {type(facts).__name__}, must be a JSON object")
+            tensors = {name: handle.get_tensor(name) for name in handle.keys()}  # noqa: SIM118 (no dict)
+    except (SafetensorError, json.JSONDecodeError, RecursionError, OverflowError) as error:
         raise ValueError(f"{path} is not a safetensors file: {error}") from error
+    if HASH in facts and facts.pop(HASH) != _digest(tensors, facts):
+        raise ValueError(f"{path} is damaged: its content is not what its own hash says")
+    return tensors, facts

@@ -10,6 +10,8 @@ from torch import Tensor, nn
 OPTIMAL_ACTION_HIDDEN = (64, 64)  # section 3.2.1: what the paper's grid search found
 USER_PREDICTION_HIDDEN = (80, 80, 80, 80)
 
+MOST_WEIGHTS = 10_000_000  # of a network; the paper's has 20 thousand
+
 # An observation's numbers divided by these are about 1: half a table's length and width in m, fast paddles in m/s.
 # Constants rather than running statistics, which would move under a frozen opponent's feet.
 BODY_SCALE = (0.97, 0.52, 3.0, 3.0)
@@ -40,6 +42,21 @@ class Inputs(nn.Module):
         return torch.cat([observation[..., :8], place, observation[..., 10:]], dim=-1) / self.scale
 
 
+def check_hidden(hidden: Any) -> None:
+    """Refuse what are no sizes of hidden layers, or of a network larger than any of this project could be.
+
+    Raises:
+        ValueError: names the value and what is allowed.
+    """
+    sized = isinstance(hidden, Sequence) and not isinstance(hidden, str) and len(hidden) > 0
+    if not sized or not all(isinstance(size, int) and not isinstance(size, bool) and size >= 1 for size in hidden):
+        shown = tuple(hidden) if isinstance(hidden, Sequence) and not isinstance(hidden, str) else hidden
+        raise ValueError(f"hidden = {shown!r} must name at least one layer, each of at least 1 unit")
+    weights = sum(a * b for a, b in itertools.pairwise((12, *hidden, 4)))
+    if weights > MOST_WEIGHTS:
+        raise ValueError(f"hidden = {tuple(hidden)} makes {weights} weights, must be at most {MOST_WEIGHTS}")
+
+
 class GaussianPolicy(nn.Module):
     """12 -> hidden ReLU layers -> mean (2) and sigmoid STD (2): a diagonal Gaussian over the action.
 
@@ -50,8 +67,7 @@ class GaussianPolicy(nn.Module):
 
     def __init__(self, hidden: Sequence[int] = OPTIMAL_ACTION_HIDDEN, inputs: str = TABLE) -> None:
         super().__init__()
-        if not hidden or min(hidden) < 1:
-            raise ValueError(f"hidden = {tuple(hidden)} must name at least one layer, each of at least 1 unit")
+        check_hidden(hidden)
         self.hidden = tuple(hidden)
         self.inputs = Inputs(inputs)
         self.layers = nn.Sequential(*relu_layers(12, self.hidden))
@@ -74,6 +90,7 @@ class GaussianPolicy(nn.Module):
         """
         if "hidden" not in facts:
             raise ValueError("does not say its hidden sizes: not a file of this project")
+        check_hidden(facts["hidden"])
         return cls(facts["hidden"], facts.get("inputs", TABLE))
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:

@@ -40,6 +40,7 @@ from airhockey_marl.selfplay import Pool, Practice, results_against
 from airhockey_marl.shaping import Shaping, fading
 
 LEAGUE, MATCHES, STATE = "league.safetensors", "matches.csv", "state.safetensors"
+FACTS = {"generation": int, "matches": list, "goals": list, "seconds": float}  # of the state
 CARD_ROUNDS = 25  # times as many rounds as in training, for the scores on the card
 SEEDS_APART = 100_000  # more than there are tables in a match, each of which has a seed of its own
 
@@ -107,8 +108,11 @@ def train(
     pool.league.add(policy)
     done, matches, seconds = 0, [], 0.0
     if cfg.resume is not None:
-        written = League.load(folder / LEAGUE)
-        facts = checkpoint.load(folder / STATE)  # last: from here on the random numbers are those of the run
+        with input_errors():
+            written = League.load(folder / LEAGUE)
+            facts = checkpoint.load(folder / STATE, FACTS)  # last: now the random numbers are those of the run
+            if not 0 <= facts["generation"] < len(written):
+                raise InputError(f"resume = {folder}: {LEAGUE} lacks generation {facts['generation']} of {STATE}")
         done, matches, seconds = facts["generation"], facts["matches"], facts["seconds"]
         pool.goals = dict(facts["goals"])
         pool.league = written.until(done)

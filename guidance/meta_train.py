@@ -134,7 +134,8 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
     checkpoint = Checkpoint(parts, np.random.default_rng(cfg.seed), [])
     done, seconds = dict.fromkeys(models, 0), 0.0
     if cfg.resume is not None:
-        facts = checkpoint.load(folder / STATE)
+        with input_errors():
+            facts = checkpoint.load(folder / STATE, {"done": dict, "seconds": float})
         done, seconds = facts["done"], facts["seconds"]
     began = time.perf_counter() - seconds
     for name, train in (("maml", train_maml), ("supervised", train_supervised)):
