@@ -39,9 +39,9 @@ COMPARED = 50  # one tick in so many is compared with the reference
 SMALL_STEPS, OTHER_STEPS = 50, 171  # of a sub-step
 HAIR = 1e-9  # m
 # A puck that leaves the mouth of a goal again, askew, is not turned by the post on its way but slides around it: known,
-# and kept, because to mend it would change the bits of ordinary play. So is a goal that comes a tick late: of a puck
-# that a paddle has squeezed past a post and over the line.
-UNKNOWABLE, MISSED_POST, LATE_GOAL = -1, -2, -3
+# and kept, because to mend it would change the bits of ordinary play. So are goals of pucks that a paddle has squeezed
+# past a post and over the line, some of which come a tick late.
+UNKNOWABLE, MISSED_POST, SQUEEZED = -1, -2, -3
 FINE, PUCK_NAN, PUCK_OUTSIDE, PADDLE_OUTSIDE, PADDLE_FAST, ENERGY, FAR_OFF, WRONG_GOAL, SHIFTED = range(9)
 NAMES = (
     "fine",
@@ -182,6 +182,23 @@ def in_something(x, y, vx, vy, bodies, ahead, table):
 
 
 @compiled
+def nearest(puck, bodies, small, table):
+    """When in the next `small` seconds the puck is nearest to a paddle or post that it touches then; else `small`."""
+    for thing in range(6):
+        if thing < 2:
+            x, y, vx, vy = bodies[thing, X], bodies[thing, Y], bodies[thing, VX], bodies[thing, VY]
+        else:
+            x, y = table.length / 2 * (1 if thing < 4 else -1), table.goal / 2 * (1 if thing % 2 else -1)
+            vx = vy = 0.0
+        x, y, vx, vy = puck[X] - x, puck[Y] - y, puck[VX] - vx, puck[VY] - vy
+        speed2 = vx * vx + vy * vy
+        ahead = -0.999999 * (x * vx + y * vy) / speed2 if speed2 > 0 else 0.0
+        if 0 < ahead < small and in_something(puck[X], puck[Y], puck[VX], puck[VY], bodies, ahead, table)[0] >= 0:
+            small = ahead
+    return small
+
+
+@compiled
 def reference(bodies, targets, table, steps):
     """A tick in small steps, in place: (goal, most contacts of a sub-step, whether it met a post on its way out)."""
     dt, most, met, puck = table.tick / table.substeps, 0, False, bodies[PUCK]
@@ -198,7 +215,7 @@ def reference(bodies, targets, table, steps):
             puck[VY] *= slower
         contacts, left = 0, dt
         while left > 0:
-            small = min(left, dt / steps)
+            small = nearest(puck, bodies, min(left, dt / steps), table)
             which, _, _, _, _ = in_something(puck[X], puck[Y], puck[VX], puck[VY], bodies, small, table)
             if which >= 0:
                 low, high = 0.0, small
@@ -240,14 +257,21 @@ def wrong_alone(before, bodies, goal, touched, still, table):
     puck, end = bodies[PUCK], table.length / 2
     if goal == 0 and abs(puck[Y]) > table.width / 2 - table.puck_radius + room:
         return PUCK_OUTSIDE
-    late = touched != 0 and abs(puck[Y]) < table.goal / 2 and abs(before[PUCK, X]) <= end < abs(puck[X])
+    squeezed = (
+        goal == 0 and touched != 0 and abs(puck[Y]) < table.goal / 2 and abs(before[PUCK, X]) <= end < abs(puck[X])
+    )
     furthest = end if abs(puck[Y]) < table.goal / 2 else end - table.puck_radius
-    if goal == 0 and not late and abs(puck[X]) > furthest + room:
+    if goal == 0 and not squeezed and abs(puck[X]) > furthest + room:
         return PUCK_OUTSIDE
     if goal != 0:  # a fast puck has flown on behind the line; it went over it in the mouth
         crossed = puck[Y] - puck[VY] * (puck[X] - goal * end) / puck[VX]
-        if goal * puck[X] <= end or abs(crossed) > table.goal / 2 + room:
+        if goal * puck[X] <= end:
             return PUCK_OUTSIDE
+        if abs(crossed) > table.goal / 2 + room:
+            squeezed = touched != 0 or max(overlap(before, LEFT, table), overlap(before, RIGHT, table)) > 0
+            squeezed = squeezed or abs(before[PUCK, X]) > end
+            if not squeezed:
+                return PUCK_OUTSIDE
     for seat in (LEFT, RIGHT):
         low, high, side = _own_half(seat, table)
         if not (low - room <= bodies[seat, X] <= high + room and abs(bodies[seat, Y]) <= side + room):
@@ -268,7 +292,7 @@ def wrong_alone(before, bodies, goal, touched, still, table):
                 return SHIFTED
     elif now > was + (1 + table.paddle_restitution) * table.paddle_speed * 8 * table.substeps:
         return ENERGY
-    return LATE_GOAL if goal == 0 and late else FINE
+    return SQUEEZED if squeezed else FINE
 
 
 @compiled
@@ -278,6 +302,9 @@ def beside_reference(before, bodies, goal, targets, table):
     for seat in (LEFT, RIGHT):
         if overlap(before, seat, table) > 0:  # squeezed already
             return UNKNOWABLE
+    fastest = max(table.paddle_speed, hypot(before[PUCK, VX], before[PUCK, VY]))
+    if 2 * fastest * table.tick / table.substeps / SMALL_STEPS > table.puck_radius:  # it would step over things itself
+        return UNKNOWABLE
     other[PUCK, X] += HAIR
     other[PUCK, Y] -= HAIR
     goal_one, contacts, met = reference(one, targets, table, SMALL_STEPS)
@@ -299,10 +326,10 @@ def beside_reference(before, bodies, goal, targets, table):
 
 @compiled
 def play(values, seed, ticks, compared):
-    """Play an episode: (what is wrong, at which tick, ticks played, compared, unknowable, missed, late)."""
+    """Play an episode: (what is wrong, at which tick, ticks played, compared, unknowable, missed, squeezed)."""
     table, rng = table_of(values), np.array([seed], dtype=np.uint64)
     bodies, targets = np.zeros((3, 4)), np.zeros((2, 2))
-    known = unknown = missed = late = 0
+    known = unknown = missed = squeezed = 0
     if not begin(bodies, rng, table):
         return FINE, 0, 0, 0, 0, 0, 0
     still = random_unit(rng, 0) < 0.25
@@ -315,7 +342,7 @@ def play(values, seed, ticks, compared):
         before = bodies.copy()
         goal, touched = tick(bodies, targets, table)
         wrong = wrong_alone(before, bodies, goal, touched, still, table)
-        late += wrong == LATE_GOAL
+        squeezed += wrong == SQUEEZED
         wrong = max(wrong, FINE)
         if wrong == FINE and random_unit(rng, 0) * compared < 1.0:
             wrong = beside_reference(before, bodies, goal, targets, table)
@@ -324,10 +351,10 @@ def play(values, seed, ticks, compared):
             known += wrong >= FINE
             wrong = max(wrong, FINE)
         if wrong != FINE:
-            return wrong, number, number + 1, known, unknown, missed, late
+            return wrong, number, number + 1, known, unknown, missed, squeezed
         if goal != 0:
-            return FINE, number, number + 1, known, unknown, missed, late
-    return FINE, ticks, ticks, known, unknown, missed, late
+            return FINE, number, number + 1, known, unknown, missed, squeezed
+    return FINE, ticks, ticks, known, unknown, missed, squeezed
 
 
 @compiled
@@ -335,12 +362,12 @@ def play_many(tables, seeds, ticks, compared, counts, failures):
     """Episodes of row i are played at table i; failures (rows, 3) is what, which seed and which tick, of the last."""
     for row in range(len(tables)):
         for seed in seeds[row]:
-            wrong, number, played, known, unknown, missed, late = play(tables[row], seed, ticks, compared)
+            wrong, number, played, known, unknown, missed, squeezed = play(tables[row], seed, ticks, compared)
             counts[0] += played
             counts[1] += known
             counts[2] += unknown
             counts[3] += missed
-            counts[4] += late
+            counts[4] += squeezed
             if wrong != FINE:
                 counts[5 + wrong] += 1
                 failures[row, 0], failures[row, 1], failures[row, 2] = wrong, seed, number
@@ -362,7 +389,7 @@ def fuzz(least: int, seed: int = 0, tables: int = 200, episodes: int = EPISODES)
         "compared": int(counts[1]),
         "unknowable": int(counts[2]),
         "missed_posts": int(counts[3]),
-        "late_goals": int(counts[4]),
+        "squeezed_goals": int(counts[4]),
         "wrong": {NAMES[what]: int(counts[5 + what]) for what in range(1, len(NAMES)) if counts[5 + what]},
         "cases": cases,
         "seconds": time.perf_counter() - began,
