@@ -31,6 +31,7 @@ from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import InputError, command, config_of, input_errors, require_counts, require_numbers
 from airhockey_marl.env import make_env, serve_streams
 from airhockey_marl.files import write_json, write_text
+from airhockey_marl.guards import stopping
 from airhockey_marl.league import League, Member
 from airhockey_marl.learner import Algorithm
 from airhockey_marl.lock import locked
@@ -124,7 +125,8 @@ def train(
     for generation in bar:
         opponents = pool.draw(cfg.league.opponents, checkpoint.rng)
         strength = fading(generation, cfg.shaping.generations)
-        metrics, goals = practice.generation(learner, opponents, cfg.steps_per_generation, strength)
+        with stopping(f"generation {generation}", folder / STATE):
+            metrics, goals = practice.generation(learner, opponents, cfg.steps_per_generation, strength)
         pool.remember(opponents.members, goals)
         pool.league.add(policy)
         others = references(generation, cfg.league.match_every)

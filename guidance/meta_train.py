@@ -35,6 +35,7 @@ from airhockey_marl.cli import (
     require_numbers,
 )
 from airhockey_marl.files import sha256, write_json
+from airhockey_marl.guards import stopping
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
 from airhockey_marl.lock import locked
@@ -143,14 +144,15 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
         board = open_board(folder / "tensorboard" / name, done[name] + 1)
         training = train(models[name], data, **cfg[name], optimizer=optimizers[name], done=done[name])
         bar = tqdm(training, name, cfg[name].epochs, initial=done[name], unit="epoch", file=sys.stderr, disable=None)
-        for metrics in bar:
-            epoch = metrics.pop("epoch")
-            for key, value in metrics.items():
-                board.add_scalar(f"{name}/{key}", value, epoch)
-            board.flush()
-            bar.set_postfix({key: f"{value:.3f}" for key, value in metrics.items()})
-            done[name], seconds = epoch, time.perf_counter() - began
-            checkpoint.save(folder / STATE, {"done": done, "seconds": seconds})
+        with stopping(f"{name} training", folder / STATE):
+            for metrics in bar:
+                epoch = metrics.pop("epoch")
+                for key, value in metrics.items():
+                    board.add_scalar(f"{name}/{key}", value, epoch)
+                board.flush()
+                bar.set_postfix({key: f"{value:.3f}" for key, value in metrics.items()})
+                done[name], seconds = epoch, time.perf_counter() - began
+                checkpoint.save(folder / STATE, {"done": done, "seconds": seconds})
         board.close()
     return seconds
 
