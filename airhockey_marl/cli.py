@@ -181,6 +181,10 @@ def config_of(run: Path, state: str) -> DictConfig:
         raise ValueError(f"{file} is no yaml: {' '.join(str(error).split())[:200]}") from error
     if not isinstance(cfg, DictConfig) or "resume" not in cfg:
         raise ValueError(f"{file} is not the configuration of a run that can go on")
+    if HydraConfig.initialized():  # a preset's keys for other commands are in the file, too
+        own = _own_keys(HydraConfig.get().job.config_name)
+        for key in set(cfg) - own:
+            del cfg[key]
     cfg.resume = str(run)
     return cfg
 
@@ -206,9 +210,7 @@ class ProgressBar:
 
 def _keep_own_keys(cfg: DictConfig, name: str) -> None:
     """Drop what a preset brings for other commands; refuse what was typed for this one and does not exist."""
-    primary = OmegaConf.load(CONF / f"{name}.yaml")
-    groups = {key for entry in primary.get("defaults", []) if isinstance(entry, DictConfig) for key in entry}
-    own = groups | set(primary)
+    own = _own_keys(name)
     for override in HydraConfig.get().overrides.task:
         key = override.lstrip("+~").split("=")[0].split(".")[0].split("@")[0]
         if key not in own | {"preset"}:
@@ -216,6 +218,13 @@ def _keep_own_keys(cfg: DictConfig, name: str) -> None:
     with open_dict(cfg):
         for key in set(cfg) - own:
             del cfg[key]
+
+
+def _own_keys(name: str) -> set[str]:
+    """The keys at the top of a command's configuration: its groups, and those of its yaml."""
+    primary = OmegaConf.load(CONF / f"{name}.yaml")
+    groups = {key for entry in primary.get("defaults", []) if isinstance(entry, DictConfig) for key in entry}
+    return groups | set(primary)
 
 
 def _say_error(text: str) -> None:
