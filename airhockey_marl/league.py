@@ -169,6 +169,10 @@ class Lineup(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""
+        if len(observation) % len(self.members):
+            raise ValueError(
+                f"observation: {len(observation)} tables, must be a multiple of {len(self.members)} members"
+            )
         shape = (*observation.shape[:-1], -1)
         shared = observation.reshape(len(self.members), -1, observation.shape[-1])
         if not self.scripted:

@@ -36,6 +36,10 @@ class Inputs(nn.Module):
         self.register_buffer("scale", scale, persistent=False)
 
     def forward(self, observation: Tensor) -> Tensor:
+        if observation.shape[-1:] != (12,) or not observation.is_floating_point():
+            raise ValueError(
+                f"observation: {observation.dtype} of {tuple(observation.shape)}, must be floats (..., 12)"
+            )
         if self.origin == TABLE:
             return observation / self.scale
         place = observation[..., 8:10] - observation[..., 0:2]
@@ -124,6 +128,7 @@ class Critic(nn.Module):
 
     def __init__(self, hidden: Sequence[int] = (64, 64), inputs: str = PADDLE) -> None:
         super().__init__()
+        check_hidden(hidden)
         self.inputs = Inputs(inputs)
         self.layers = nn.Sequential(*relu_layers(12, tuple(hidden), nn.Tanh), nn.Linear(hidden[-1], 1))
 
