@@ -56,12 +56,14 @@ def main(module: str, kills: int, seed: int, folder: Path, state: str, arguments
         again = [f"resume={folder}/killed", f"hydra.run.dir={folder}/again"]
         pid = life(command, again if going_on else [*arguments, f"hydra.run.dir={folder}/killed"], log)
         if killed < kills:  # so that progress is made, but not much more than a life's share
-            time.sleep(rng.uniform(0.3 * first, first + 2 * rest / kills))
+            time.sleep(rng.uniform(0.3 * first, first + rest / kills))
             os.kill(pid, signal.SIGKILL)
         status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         resumed += going_on
-        if status == 0:
+        if status == 0 and killed == kills:
             break
+        if status == 0:  # it was done before it could be killed: the next life goes on with a run that is whole
+            continue
         if status != -signal.SIGKILL:
             sys.exit(f"a life ended with {status}: {log.read_text()[-2000:]}")
         killed += 1

@@ -59,11 +59,11 @@ def ends_alike(tmp_path: Path, case: list[str], kills: int, seed: int) -> tuple[
 
 def test_a_replication_that_was_killed_goes_on(tmp_path):
     """That a training does, is in `test_cli`."""
-    ends_alike(tmp_path, [*REPLICATE, "n=3", "controls=0"], kills=2, seed=1)
+    ends_alike(tmp_path, [*REPLICATE, "n=2", "controls=0"], kills=1, seed=1)
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", CASES)
 def test_twenty_kills_leave_no_trace(tmp_path, name):
     killed, resumed = ends_alike(tmp_path, CASES[name], kills=20, seed=2)
-    assert killed >= 15 and resumed >= 5
+    assert killed == 20 and resumed >= 5
