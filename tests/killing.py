@@ -55,8 +55,8 @@ def main(module: str, kills: int, seed: int, folder: Path, state: str, arguments
         going_on = begun(folder / "killed" / state)
         again = [f"resume={folder}/killed", f"hydra.run.dir={folder}/again"]
         pid = life(command, again if going_on else [*arguments, f"hydra.run.dir={folder}/killed"], log)
-        if killed < kills:  # so that progress is made, but not much more than a life's share
-            time.sleep(rng.uniform(0.3 * first, first + rest / kills))
+        if killed < kills:  # about where the first state is written, and after it
+            time.sleep(rng.uniform(0.5 * first, 1.7 * first + rest / kills))
             os.kill(pid, signal.SIGKILL)
         status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         resumed += going_on
