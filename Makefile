@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: study test test-slow bench board lint clean help
+.PHONY: study test test-slow bench board audit lint clean help
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/'
@@ -23,6 +23,11 @@ bench: .venv/installed .venv/compiled  ## speeds of this machine, as one JSON ob
 
 board: .venv/installed  ## TensorBoard on outputs/
 	$(BIN)/tensorboard --logdir outputs
+
+audit: .venv/installed  ## known vulnerabilities of what is pinned; asks the network
+	$(PYTHON) -m venv .venv/audit
+	.venv/audit/bin/python -m pip install --quiet pip-audit
+	.venv/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip
 
 lint: .venv/installed  ## style
 	$(BIN)/ruff check .

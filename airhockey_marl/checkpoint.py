@@ -35,8 +35,11 @@ class Checkpoint:
             tensors[f"streams.{index}"] = torch.from_numpy(stream.view(np.int64).copy())
         save_tensors(path, tensors, {**facts, "rng": self.rng.bit_generator.state})
 
-    def load(self, path: Path) -> dict[str, object]:
+    def load(self, path: Path, kinds: Mapping[str, type]) -> dict[str, object]:
         """Take over the state that `save` wrote; returns the facts.
+
+        Args:
+            kinds: the facts that it must have, and of what type each is.
 
         Raises:
             ValueError: the file is missing, broken or of another run's making.
@@ -48,12 +51,18 @@ class Checkpoint:
             of.setdefault(part, {})[rest] = tensor
         if len(of) > len(self.parts) + 2 or not of["torch_rng"] or len(of["streams"]) != len(self.streams):
             raise ValueError(f"{path} is not the state of such a training run")
+        for name, kind in kinds.items():
+            if not isinstance(facts.get(name), kind) or isinstance(facts[name], bool):
+                raise ValueError(f"{path}: {name} = {facts.get(name)!r} must be a {kind.__name__}")
         for part, owner in self.parts.items():
             _take_over(owner, of[part], f"{path}: {part}")
-        self.rng.bit_generator.state = facts.pop("rng")
-        for index, stream in enumerate(self.streams):
-            stream[:] = of["streams"][str(index)].numpy().view(np.uint64)
-        torch.set_rng_state(of["torch_rng"][""])
+        try:
+            self.rng.bit_generator.state = facts.pop("rng")
+            for index, stream in enumerate(self.streams):
+                stream[:] = of["streams"][str(index)].numpy().view(np.uint64)
+            torch.set_rng_state(of["torch_rng"][""])
+        except (KeyError, TypeError, ValueError, OverflowError, RuntimeError) as error:
+            raise ValueError(f"{path} has random numbers of another kind: {error}") from error
         return facts
 
 
@@ -66,14 +75,20 @@ def _tensors_of(owner: nn.Module | Optimizer) -> dict[str, torch.Tensor]:
 
 
 def _take_over(owner: nn.Module | Optimizer, tensors: dict[str, torch.Tensor], what: str) -> None:
+    for name, tensor in tensors.items():
+        if tensor.is_floating_point() and not tensor.isfinite().all():
+            raise ValueError(f"{what}.{name} has values that are not finite, must have none")
     if isinstance(owner, nn.Module):
         try:
             owner.load_state_dict(tensors)
         except RuntimeError as error:
             raise ValueError(f"{what} is of another architecture: {error}") from error
         return
+    sizes = [parameter.shape for group in owner.param_groups for parameter in group["params"]]
     memories: dict[int, dict[str, torch.Tensor]] = {}
     for name, tensor in tensors.items():
         index, _, memory = name.partition(".")
+        if not index.isdecimal() or int(index) >= len(sizes) or tensor.shape not in ((), sizes[int(index)]):
+            raise ValueError(f"{what} is of another architecture: {name} is {tuple(tensor.shape)}")
         memories.setdefault(int(index), {})[memory] = tensor
     owner.load_state_dict({**owner.state_dict(), "state": memories})

@@ -14,6 +14,9 @@ from hydra.errors import InstantiationException
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
+from yaml import YAMLError
+
+from airhockey_marl.files import UNWRITABLE, Unwritten
 
 ROOT = Path(__file__).resolve().parents[1]
 CONF = ROOT / "conf"  # absolute: a relative path means something else under a console script
@@ -78,7 +81,8 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
     """Turn a function of a configuration into a command configured by `conf/<name>.yaml`.
 
     Wrong values, whether Hydra finds them or the function does (`InputError`), end in one line on standard error
-    and exit code 2. Anything else is a bug and keeps its traceback.
+    and exit code 2. So do, with exit code 1, a disk that is full or may not be written to, and a training whose numbers
+    are none any more. Anything else is a bug and keeps its traceback.
     """
 
     def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
@@ -106,6 +110,14 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
                 except (InputError, OmegaConfBaseException) as error:
                     _say_error(str(error))
                     sys.exit(2)
+                except FloatingPointError as error:
+                    _say_error(str(error))
+                    sys.exit(1)
+                except OSError as error:
+                    if not isinstance(error, Unwritten) and error.errno not in UNWRITABLE:
+                        raise
+                    _say_error(error.strerror if error.filename is None else f"{error.filename}: {error.strerror}")
+                    sys.exit(1)
 
             os.environ.setdefault("HYDRA_FULL_ERROR", "0")
             # Hydra reports a wrong override over many lines; hold them back until the task starts.
@@ -162,7 +174,17 @@ def config_of(run: Path, state: str) -> DictConfig:
     """
     if not (run / state).is_file() or not (run / ".hydra" / "config.yaml").is_file():
         raise ValueError(f"resume = {run} is not the folder of a run that can go on: it has no {state}")
-    cfg = OmegaConf.load(run / ".hydra" / "config.yaml")
+    file = run / ".hydra" / "config.yaml"
+    try:
+        cfg = OmegaConf.load(file)
+    except (YAMLError, UnicodeDecodeError, RecursionError) as error:
+        raise ValueError(f"{file} is no yaml: {' '.join(str(error).split())[:200]}") from error
+    if not isinstance(cfg, DictConfig) or "resume" not in cfg:
+        raise ValueError(f"{file} is not the configuration of a run that can go on")
+    if HydraConfig.initialized():  # a preset's keys for other commands are in the file, too
+        own = _own_keys(HydraConfig.get().job.config_name)
+        for key in set(cfg) - own:
+            del cfg[key]
     cfg.resume = str(run)
     return cfg
 
@@ -188,9 +210,7 @@ class ProgressBar:
 
 def _keep_own_keys(cfg: DictConfig, name: str) -> None:
     """Drop what a preset brings for other commands; refuse what was typed for this one and does not exist."""
-    primary = OmegaConf.load(CONF / f"{name}.yaml")
-    groups = {key for entry in primary.get("defaults", []) if isinstance(entry, DictConfig) for key in entry}
-    own = groups | set(primary)
+    own = _own_keys(name)
     for override in HydraConfig.get().overrides.task:
         key = override.lstrip("+~").split("=")[0].split(".")[0].split("@")[0]
         if key not in own | {"preset"}:
@@ -198,6 +218,13 @@ def _keep_own_keys(cfg: DictConfig, name: str) -> None:
     with open_dict(cfg):
         for key in set(cfg) - own:
             del cfg[key]
+
+
+def _own_keys(name: str) -> set[str]:
+    """The keys at the top of a command's configuration: its groups, and those of its yaml."""
+    primary = OmegaConf.load(CONF / f"{name}.yaml")
+    groups = {key for entry in primary.get("defaults", []) if isinstance(entry, DictConfig) for key in entry}
+    return groups | set(primary)
 
 
 def _say_error(text: str) -> None:

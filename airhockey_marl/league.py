@@ -100,8 +100,12 @@ class League:
             ValueError: the tensors are not those of this policy; names the first that differs.
         """
         require_weights(policy, {name: tuple(tensor.shape[1:]) for name, tensor in tensors.items()})
-        league = cls(policy)
-        generations = len(next(iter(tensors.values())))
+        require_finite(tensors)
+        league, counts = cls(policy), {name: len(tensor) if tensor.ndim else 0 for name, tensor in tensors.items()}
+        generations = max(counts.values())
+        for name, count in counts.items():
+            if count != generations or not count:
+                raise ValueError(f"{name} is of {count} generations, must be of {max(generations, 1)}")
         stacked = TensorDict(tensors, [generations]).unflatten_keys(".")
         league.snapshots = [snapshot.clone().lock_() for snapshot in stacked.unbind(0)]
         league.hashes = [weights_hash(snapshot) for snapshot in league.snapshots]
@@ -125,6 +129,19 @@ def require_weights(policy: GaussianPolicy, shapes: Mapping[str, tuple[int, ...]
             raise ValueError(
                 f"{name} is {shapes.get(name, 'missing')}, the model has {wanted.get(name, 'no such tensor')}"
             )
+
+
+def require_finite(tensors: Mapping[str, Tensor]) -> None:
+    """Refuse weights that are no numbers to calculate with.
+
+    Raises:
+        ValueError: names the first tensor that is not floating point, or in which a value is not finite.
+    """
+    for name, tensor in sorted(tensors.items()):
+        if not tensor.is_floating_point():
+            raise ValueError(f"{name} is {tensor.dtype}, must be floating point")
+        if not tensor.isfinite().all():
+            raise ValueError(f"{name} has {int((~tensor.isfinite()).sum())} values that are not finite, must have none")
 
 
 def weights_hash(weights: TensorDict) -> str:
@@ -152,6 +169,10 @@ class Lineup(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""
+        if len(observation) % len(self.members):
+            raise ValueError(
+                f"observation: {len(observation)} tables, must be a multiple of {len(self.members)} members"
+            )
         shape = (*observation.shape[:-1], -1)
         shared = observation.reshape(len(self.members), -1, observation.shape[-1])
         if not self.scripted:

@@ -10,6 +10,8 @@ from torch import Tensor, nn
 OPTIMAL_ACTION_HIDDEN = (64, 64)  # section 3.2.1: what the paper's grid search found
 USER_PREDICTION_HIDDEN = (80, 80, 80, 80)
 
+MOST_WEIGHTS = 10_000_000  # of a network; the paper's has 20 thousand
+
 # An observation's numbers divided by these are about 1: half a table's length and width in m, fast paddles in m/s.
 # Constants rather than running statistics, which would move under a frozen opponent's feet.
 BODY_SCALE = (0.97, 0.52, 3.0, 3.0)
@@ -34,10 +36,29 @@ class Inputs(nn.Module):
         self.register_buffer("scale", scale, persistent=False)
 
     def forward(self, observation: Tensor) -> Tensor:
+        if observation.shape[-1:] != (12,) or not observation.is_floating_point():
+            raise ValueError(
+                f"observation: {observation.dtype} of {tuple(observation.shape)}, must be floats (..., 12)"
+            )
         if self.origin == TABLE:
             return observation / self.scale
         place = observation[..., 8:10] - observation[..., 0:2]
         return torch.cat([observation[..., :8], place, observation[..., 10:]], dim=-1) / self.scale
+
+
+def check_hidden(hidden: Any) -> None:
+    """Refuse what are no sizes of hidden layers, or of a network larger than any of this project could be.
+
+    Raises:
+        ValueError: names the value and what is allowed.
+    """
+    sized = isinstance(hidden, Sequence) and not isinstance(hidden, str) and len(hidden) > 0
+    if not sized or not all(isinstance(size, int) and not isinstance(size, bool) and size >= 1 for size in hidden):
+        shown = tuple(hidden) if isinstance(hidden, Sequence) and not isinstance(hidden, str) else hidden
+        raise ValueError(f"hidden = {shown!r} must name at least one layer, each of at least 1 unit")
+    weights = sum(a * b for a, b in itertools.pairwise((12, *hidden, 4)))
+    if weights > MOST_WEIGHTS:
+        raise ValueError(f"hidden = {tuple(hidden)} makes {weights} weights, must be at most {MOST_WEIGHTS}")
 
 
 class GaussianPolicy(nn.Module):
@@ -50,8 +71,7 @@ class GaussianPolicy(nn.Module):
 
     def __init__(self, hidden: Sequence[int] = OPTIMAL_ACTION_HIDDEN, inputs: str = TABLE) -> None:
         super().__init__()
-        if not hidden or min(hidden) < 1:
-            raise ValueError(f"hidden = {tuple(hidden)} must name at least one layer, each of at least 1 unit")
+        check_hidden(hidden)
         self.hidden = tuple(hidden)
         self.inputs = Inputs(inputs)
         self.layers = nn.Sequential(*relu_layers(12, self.hidden))
@@ -74,6 +94,7 @@ class GaussianPolicy(nn.Module):
         """
         if "hidden" not in facts:
             raise ValueError("does not say its hidden sizes: not a file of this project")
+        check_hidden(facts["hidden"])
         return cls(facts["hidden"], facts.get("inputs", TABLE))
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
@@ -107,6 +128,7 @@ class Critic(nn.Module):
 
     def __init__(self, hidden: Sequence[int] = (64, 64), inputs: str = PADDLE) -> None:
         super().__init__()
+        check_hidden(hidden)
         self.inputs = Inputs(inputs)
         self.layers = nn.Sequential(*relu_layers(12, tuple(hidden), nn.Tanh), nn.Linear(hidden[-1], 1))
 

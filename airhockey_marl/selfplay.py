@@ -9,6 +9,7 @@ from tensordict.nn import TensorDictSequential
 from torchrl.collectors import Collector
 from torchrl.envs import EnvBase
 
+from airhockey_marl.guards import require_finite_parts, require_sound
 from airhockey_marl.league import League, Lineup, Member
 from airhockey_marl.learner import Learner
 from airhockey_marl.match import Result, play_matches, sampled
@@ -28,7 +29,7 @@ class Practice:
 
     def __init__(self, env: EnvBase, policy: GaussianPolicy, batch: int, shaping: Shaping, gamma: float) -> None:
         self.batch, self.shaping, self.gamma = batch, shaping, gamma
-        self.seat = Seat(policy)
+        self.policy, self.seat = policy, Seat(policy)
         self.collector = Collector(
             env,
             TensorDictSequential(actor(LEARNER, policy), actor(OPPONENT, self.seat)),
@@ -45,6 +46,9 @@ class Practice:
 
         Returns:
             The metrics of the updates, averaged; and the goals scored and conceded against each of the line-up (k, 2).
+
+        Raises:
+            FloatingPointError: learning has gone wrong for good, see `guards`.
         """
         self.seat.policy = opponents
         self.collector.reset()  # a generation depends on nothing but the league, the learner and the random numbers
@@ -55,6 +59,8 @@ class Practice:
                 goals += goals_of(play, len(opponents.members))
                 view = learner_view(play, self.shaping, strength, self.gamma)
             history.append(learner.update(view))
+            require_sound(history[-1])
+        require_finite_parts({"policy": self.policy, **learner.parts()})
         return {name: float(np.mean([metrics[name] for metrics in history])) for name in history[0]}, goals
 
     def close(self) -> None:

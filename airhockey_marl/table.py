@@ -13,6 +13,7 @@ therefore meets what is in its way. Physics is symmetric under the half turn tha
 """
 
 from math import hypot, sqrt
+from numbers import Integral, Real
 from typing import NamedTuple
 
 import numpy as np
@@ -61,6 +62,20 @@ class Table(NamedTuple):
     substeps: int = 4
 
 
+# What a table may be at most, in the units of its fields: far beyond any, and far from where numbers overflow or the
+# rounding of a length is as large as a puck.
+LARGEST = {
+    **dict.fromkeys(("length", "width", "goal", "puck_radius", "paddle_radius"), 100.0),
+    **dict.fromkeys(("wall_restitution", "paddle_restitution"), 1.0),
+    **dict.fromkeys(("drag", "friction", "paddle_speed", "serve_speed_low", "serve_speed_high", "stall_speed"), 1e3),
+    "paddle_acceleration": 1e6,
+    "serve_angle": 3.15,
+    **dict.fromkeys(("stall_seconds", "possession_seconds"), 1e9),
+    "tick": 1.0,
+    "substeps": 1000,
+}
+
+
 def check_table(table: Table) -> Table:
     """Return `table` if it can be played on.
 
@@ -69,18 +84,20 @@ def check_table(table: Table) -> Table:
     """
     for name, value in table._asdict().items():
         lowest = 0 if name in ("drag", "friction", "serve_speed_low", "serve_angle", "stall_speed") else 1e-9
-        if not np.isfinite(value) or value < lowest:
+        number = isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(value)
+        if not number or value < lowest:
             raise ValueError(f"table.{name} = {value} must be a number {'of at least' if lowest == 0 else 'above'} 0")
-    for name in ("wall_restitution", "paddle_restitution"):
-        if getattr(table, name) > 1:
-            raise ValueError(f"table.{name} = {getattr(table, name)} must be at most 1")
+        if value > LARGEST[name]:
+            raise ValueError(f"table.{name} = {value} must be at most {LARGEST[name]:g}")
     if not 2 * table.puck_radius < table.goal < table.width:
         raise ValueError(f"table.goal = {table.goal} must be between the puck's diameter and the table's width")
+    if table.length <= 4 * table.paddle_radius:
+        raise ValueError(f"table.paddle_radius = {table.paddle_radius} must be below a quarter of the table's length")
     if table.width <= 2 * (table.paddle_radius + 2 * table.puck_radius) or table.length <= 2 * table.width / 3:
         raise ValueError(f"table.width = {table.width}, table.length = {table.length}: too small to play on")
     if table.serve_speed_high < table.serve_speed_low:
         raise ValueError(f"table.serve_speed_high = {table.serve_speed_high} is below serve_speed_low")
-    if table.substeps != int(table.substeps):
+    if not isinstance(table.substeps, Integral):
         raise ValueError(f"table.substeps = {table.substeps} must be a whole number")
     return table
 

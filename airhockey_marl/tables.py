@@ -1,6 +1,8 @@
 """Tables side by side: rounds and serves, the referee, what each seat sees, and one step for all of them."""
 
 from math import cos, floor, hypot, pi, sin
+from numbers import Integral
+from typing import Any
 
 import numpy as np
 from numba import njit
@@ -117,6 +119,11 @@ def observe(bodies, seat, out):
             out[index, 8 + column] = turn * bodies[index, PUCK, column]
 
 
+def _seen(value: Any) -> str:
+    """Of what type and shape something is."""
+    return f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
+
+
 class Tables:
     """n tables side by side, each with its own stream of random numbers.
 
@@ -128,8 +135,8 @@ class Tables:
     PARALLEL_FROM = 256  # tables; below, starting the threads costs more than they save
 
     def __init__(self, n: int, table: Table | None = None) -> None:
-        if n < 1:
-            raise ValueError(f"tables = {n} must be at least 1")
+        if not isinstance(n, Integral) or isinstance(n, bool) or n < 1:
+            raise ValueError(f"tables = {n!r} must be at least 1")
         self.n, self.table = n, check_table(table or Table())
         self._values = tuple(self.table)  # numba takes a plain tuple faster than a NamedTuple, by 1.5 us a call
         self._all = np.arange(n)
@@ -149,6 +156,8 @@ class Tables:
     def new_rounds(self, which: np.ndarray | None = None) -> None:
         """Begin a round at the tables of the boolean mask `which` (n,); at all of them without it."""
         which = np.ones(self.n, dtype=bool) if which is None else which
+        if not isinstance(which, np.ndarray) or which.shape != (self.n,) or which.dtype != bool:
+            raise ValueError(f"which: {_seen(which)}, must be bools of shape {(self.n,)}")
         _new_rounds(self.bodies, self.watch, self.rng, which, self._values)
 
     def step(self, actions: np.ndarray, ticks: int = 1, rows: np.ndarray | None = None) -> None:
@@ -156,8 +165,20 @@ class Tables:
 
         `actions` (n, 2, 2) float is the wanted paddle position of each seat, egocentric, in [-1, 1]. `rows` (int64)
         are the tables that play, all of them if None; at the others time stands still.
+
+        Raises:
+            ValueError: a shape, a type or a number is another one: compiled code would write where nothing is.
         """
-        rows = self._all if rows is None else rows
+        if not isinstance(actions, np.ndarray) or actions.shape != (self.n, 2, 2) or actions.dtype.kind != "f":
+            raise ValueError(f"actions: {_seen(actions)}, must be floats of shape {(self.n, 2, 2)}")
+        if rows is None:
+            rows = self._all
+        elif not isinstance(rows, np.ndarray) or rows.ndim != 1 or rows.dtype != np.int64:
+            raise ValueError(f"rows: {_seen(rows)}, must be int64 of shape (k,)")
+        elif rows.size and not (rows.min() >= 0 and rows.max() < self.n):
+            raise ValueError(f"rows: from {rows.min()} to {rows.max()}, must be from 0 to {self.n - 1}")
+        if ticks < 0:
+            raise ValueError(f"ticks = {ticks} must be at least 0")
         arguments = (
             self.bodies,
             self.watch,
@@ -173,5 +194,9 @@ class Tables:
 
     def observe(self, seat: int, out: np.ndarray) -> np.ndarray:
         """Write what `seat` sees into `out` (n, 12) and return it."""
+        if seat not in (LEFT, RIGHT):
+            raise ValueError(f"seat = {seat!r} must be {LEFT} or {RIGHT}")
+        if not isinstance(out, np.ndarray) or out.shape != (self.n, 12) or out.dtype.kind != "f":
+            raise ValueError(f"out: {_seen(out)}, must be floats of shape {(self.n, 12)}")
         observe(self.bodies, seat, out)
         return out

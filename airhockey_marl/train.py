@@ -16,29 +16,32 @@ import sys
 import time
 from pathlib import Path
 
-import hydra
 import numpy as np
 import pandas as pd
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs import EnvBase
 from tqdm import tqdm
 
 from airhockey_marl.anchors import ANCHORS
+from airhockey_marl.board import open_board
+from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import InputError, command, config_of, input_errors, require_counts, require_numbers
 from airhockey_marl.env import make_env, serve_streams
 from airhockey_marl.files import write_json, write_text
+from airhockey_marl.guards import stopping
 from airhockey_marl.league import League, Member
 from airhockey_marl.learner import Algorithm
+from airhockey_marl.lock import locked
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.samplers import Sampler
 from airhockey_marl.selfplay import Pool, Practice, results_against
 from airhockey_marl.shaping import Shaping, fading
 
 LEAGUE, MATCHES, STATE = "league.safetensors", "matches.csv", "state.safetensors"
+FACTS = {"generation": int, "matches": list, "goals": list, "seconds": float}  # of the state
 CARD_ROUNDS = 25  # times as many rounds as in training, for the scores on the card
 SEEDS_APART = 100_000  # more than there are tables in a match, each of which has a seed of its own
 
@@ -74,13 +77,14 @@ def main(cfg: DictConfig) -> None:
         check(cfg)
         torch.manual_seed(cfg.seed)
         policy = GaussianPolicy(cfg.hidden, cfg.inputs)
-        algorithm: Algorithm = hydra.utils.instantiate(cfg.algorithm)
-        sampler: Sampler = hydra.utils.instantiate(cfg.league.sampler)
+        algorithm: Algorithm = build(cfg.algorithm)
+        sampler: Sampler = build(cfg.league.sampler)
         env = make_env(cfg.env.backend, cfg.env.tables, cfg.env.round_seconds, cfg.env.decision_ticks, cfg.seed)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    league, seconds = train(cfg, folder, env, policy, algorithm, sampler)
-    made_by = " ".join(["python -m airhockey_marl.train", *HydraConfig.get().overrides.task])
-    write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **card(cfg, league)})
+    with locked(folder, "run"):
+        league, seconds = train(cfg, folder, env, policy, algorithm, sampler)
+        made_by = " ".join(["python -m airhockey_marl.train", *HydraConfig.get().overrides.task])
+        write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **card(cfg, league)})
 
 
 def train(
@@ -105,20 +109,24 @@ def train(
     pool.league.add(policy)
     done, matches, seconds = 0, [], 0.0
     if cfg.resume is not None:
-        written = League.load(folder / LEAGUE)
-        facts = checkpoint.load(folder / STATE)  # last: from here on the random numbers are those of the run
+        with input_errors():
+            written = League.load(folder / LEAGUE)
+            facts = checkpoint.load(folder / STATE, FACTS)  # last: now the random numbers are those of the run
+            if not 0 <= facts["generation"] < len(written):
+                raise InputError(f"resume = {folder}: {LEAGUE} lacks generation {facts['generation']} of {STATE}")
         done, matches, seconds = facts["generation"], facts["matches"], facts["seconds"]
         pool.goals = dict(facts["goals"])
         pool.league = written.until(done)
     # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
-    board = SummaryWriter(str(folder / "tensorboard"), purge_step=done * cfg.steps_per_generation + 1)
+    board = open_board(folder / "tensorboard", done * cfg.steps_per_generation + 1)
     began = time.perf_counter() - seconds
     todo = range(done + 1, cfg.generations + 1)
     bar = tqdm(todo, desc="generation", initial=done, total=cfg.generations, file=sys.stderr, disable=None)
     for generation in bar:
         opponents = pool.draw(cfg.league.opponents, checkpoint.rng)
         strength = fading(generation, cfg.shaping.generations)
-        metrics, goals = practice.generation(learner, opponents, cfg.steps_per_generation, strength)
+        with stopping(f"generation {generation}", folder / STATE):
+            metrics, goals = practice.generation(learner, opponents, cfg.steps_per_generation, strength)
         pool.remember(opponents.members, goals)
         pool.league.add(policy)
         others = references(generation, cfg.league.match_every)

@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import hydra
 import numpy as np
 import pandas as pd
 import torch
@@ -21,6 +20,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from torch import Tensor
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import replacing
 from airhockey_marl.inference import steady
@@ -63,7 +63,7 @@ def main(cfg: DictConfig) -> None:
         require_counts(cfg, "seed", least=0)
         require_numbers(cfg, "play_seconds", least=10.0)
         check_variant(cfg.users.variant)
-        population: Population = hydra.utils.instantiate(cfg.users.population)
+        population: Population = build(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
         opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
     torch.set_num_threads(cfg.threads)

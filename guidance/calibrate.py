@@ -14,7 +14,6 @@ into conf/: calibration never changes a study by itself.
 
 from pathlib import Path
 
-import hydra
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
@@ -22,6 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from scipy.optimize import brentq
 from torch import Tensor
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import write_text
 from airhockey_marl.inference import steady
@@ -53,9 +53,9 @@ def main(cfg: DictConfig) -> None:
         require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
         if not all(isinstance(seconds, float) and 0 <= seconds <= 1 for seconds in cfg.stability.lookaheads):
             raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers from 0 to 1")
-        people = training_people(cfg.seed, hydra.utils.instantiate(cfg.users.population))
+        people = training_people(cfg.seed, build(cfg.users.population))
         mentors = load_mentors(cfg.users.mentors)
-        protocol = hydra.utils.instantiate(cfg.study, familiarisation=0)
+        protocol = build(cfg.study, familiarisation=0)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
         league = League.load(cfg.models.opponents)
         if cfg.opponent is not None:

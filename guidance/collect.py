@@ -18,11 +18,11 @@ import time
 from functools import partial
 from pathlib import Path
 
-import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, require_counts
 from airhockey_marl.files import replacing, sha256, write_json
 from airhockey_marl.inference import steady
@@ -71,7 +71,7 @@ def main(cfg: DictConfig) -> None:
             raise InputError(f"opponent = {cfg.opponent} must be a generation of the league, 0 to {len(league) - 1}")
         if (folder / TENSORS).exists():
             raise InputError(f"hydra.run.dir = {folder} must be a folder without {TENSORS}/: data are not replaced")
-        population: Population = hydra.utils.instantiate(cfg.users.population)
+        population: Population = build(cfg.users.population)
         draw = training_people if cfg.people == "training" else partial(sample_people, cfg.participants)
         people, mentors = draw(cfg.seed, population), load_mentors(cfg.users.mentors)
     torch.set_num_threads(cfg.threads)

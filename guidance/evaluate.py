@@ -15,11 +15,11 @@ import sys
 import time
 from pathlib import Path
 
-import hydra
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import replacing, write_json
 from airhockey_marl.inference import steady
@@ -43,8 +43,8 @@ def main(cfg: DictConfig) -> None:
         require_counts(cfg, "seed", least=0)
         require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
         conditions = chosen_conditions(cfg)
-        protocol: Protocol = hydra.utils.instantiate(cfg.study)
-        population: Population = hydra.utils.instantiate(cfg.users.population)
+        protocol: Protocol = build(cfg.study)
+        population: Population = build(cfg.users.population)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
         opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
         people = sample_people(cfg.participants, cfg.seed, population)

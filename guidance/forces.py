@@ -53,8 +53,7 @@ def spring_force(position: Tensor, target: Tensor, stiffness: float, limit: floa
     Raises:
         ValueError: a tensor is not floating point (..., 2), or ``stiffness`` or ``limit`` is negative or not finite.
     """
-    _require_vectors("position", position)
-    _require_vectors("target", target)
+    _require_pair("position", position, "target", target)
     for name, value in (("stiffness", stiffness), ("limit", limit)):
         if not 0 <= value < math.inf:
             raise ValueError(f"{name}: {value}, must be finite and not negative")
@@ -97,8 +96,7 @@ def combine(optimal: Tensor, user: Tensor) -> Tensor:
     Raises:
         ValueError: a tensor is not floating point (..., 2).
     """
-    _require_vectors("optimal", optimal)
-    _require_vectors("user", user)
+    _require_pair("optimal", optimal, "user", user)
     return (optimal + user) / 2
 
 
@@ -119,8 +117,7 @@ def similarity_weight(first: Tensor, second: Tensor) -> Tensor:
     Raises:
         ValueError: a tensor is not floating point (..., 2).
     """
-    _require_vectors("first", first)
-    _require_vectors("second", second)
+    _require_pair("first", first, "second", second)
     (_, first_direction), (_, second_direction) = _polar(first), _polar(second)
     cosine = (first_direction * second_direction).sum(dim=-1)
     return ((1 + cosine) / 2).clamp(0, 1)  # rounding can leave the cosine a hair outside [-1, 1]
@@ -138,6 +135,17 @@ def _polar(vector: Tensor) -> tuple[Tensor, Tensor]:
 def _require_floating(name: str, tensor: Tensor) -> None:
     if not tensor.is_floating_point():
         raise ValueError(f"{name}: dtype {tensor.dtype}, must be floating point")
+
+
+def _require_pair(name: str, tensor: Tensor, other_name: str, other: Tensor) -> None:
+    """Two tensors of vectors that go together."""
+    _require_vectors(name, tensor)
+    _require_vectors(other_name, other)
+    if tensor.device != other.device:
+        raise ValueError(f"{other_name}: on {other.device}, must be on {tensor.device} as {name}")
+    pairs = zip(reversed(tensor.shape), reversed(other.shape), strict=False)
+    if any(a != b and 1 not in (a, b) for a, b in pairs):
+        raise ValueError(f"{other_name}: shape {tuple(other.shape)}, must go with {tuple(tensor.shape)} of {name}")
 
 
 def _require_vectors(name: str, tensor: Tensor) -> None:

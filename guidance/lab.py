@@ -16,11 +16,11 @@ import json
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-import hydra
 import numpy as np
 import torch
 from omegaconf import DictConfig, OmegaConf
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import InputError, command, input_errors, require_counts, require_numbers
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
@@ -131,7 +131,7 @@ def plan_of(cfg: DictConfig, models: Models) -> Plan:
         models=models,
         opponent=steady(League.load(cfg.models.opponents).player(cfg.opponent)),
         opponent_label=f"generation {cfg.opponent}",
-        protocol=hydra.utils.instantiate(cfg.study),
+        protocol=build(cfg.study),
         lookahead_seconds=cfg.guidance.lookahead,
         participants=cfg.participants,
         seed=cfg.seed,
@@ -152,8 +152,8 @@ def main(cfg: DictConfig) -> None:
         return
     with input_errors():
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        plan, limits = plan_of(cfg, models), hydra.utils.instantiate(cfg.safety)
-        people = sample_people(cfg.participants, cfg.seed, hydra.utils.instantiate(cfg.users.population))
+        plan, limits = plan_of(cfg, models), build(cfg.safety)
+        people = sample_people(cfg.participants, cfg.seed, build(cfg.users.population))
         facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else Nobody()
     torch.set_num_threads(cfg.threads)
     clock = WallClock() if cfg.window else HurriedClock()

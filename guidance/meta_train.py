@@ -15,15 +15,15 @@ import time
 from functools import partial
 from pathlib import Path
 
-import hydra
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
-from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
+from airhockey_marl.board import open_board
+from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import (
     InputError,
@@ -35,8 +35,10 @@ from airhockey_marl.cli import (
     require_numbers,
 )
 from airhockey_marl.files import sha256, write_json
+from airhockey_marl.guards import stopping
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
+from airhockey_marl.lock import locked
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.table import Table
 from guidance.demonstrations import collect
@@ -44,7 +46,7 @@ from guidance.models import save_user_model
 from guidance.prediction import judge, predictors
 from guidance.rounds import action_ahead
 from guidance.user_model import Demonstrations, train_maml, train_supervised
-from guidance.users import Population, load_mentors, sample_people, training_people
+from guidance.users import Mentors, Population, load_mentors, sample_people, training_people
 from guidance.users.reaction import check_variant
 
 STATE = "state.safetensors"
@@ -75,7 +77,7 @@ def main(cfg: DictConfig) -> None:
             cfg = config_of(Path(cfg.resume), STATE)
         check(cfg)
         check_variant(cfg.users.variant)
-        population: Population = hydra.utils.instantiate(cfg.users.population)
+        population: Population = build(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
         opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
         torch.manual_seed(cfg.seed)
@@ -83,6 +85,20 @@ def main(cfg: DictConfig) -> None:
     torch.set_num_threads(cfg.threads)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
 
+    with locked(folder, "run"):
+        run(cfg, folder, population, mentors, opponent, meta, user)
+
+
+def run(
+    cfg: DictConfig,
+    folder: Path,
+    population: Population,
+    mentors: Mentors,
+    opponent: nn.Module,
+    meta: nn.Module,
+    user: nn.Module,
+) -> None:
+    """Have people play, train both models on it, and write them down with how they predict others."""
     progress = ProgressBar()
 
     def play(people: np.ndarray, seed: int, what: str) -> Demonstrations:
@@ -119,22 +135,24 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
     checkpoint = Checkpoint(parts, np.random.default_rng(cfg.seed), [])
     done, seconds = dict.fromkeys(models, 0), 0.0
     if cfg.resume is not None:
-        facts = checkpoint.load(folder / STATE)
+        with input_errors():
+            facts = checkpoint.load(folder / STATE, {"done": dict, "seconds": float})
         done, seconds = facts["done"], facts["seconds"]
     began = time.perf_counter() - seconds
     for name, train in (("maml", train_maml), ("supervised", train_supervised)):
         # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
-        board = SummaryWriter(str(folder / "tensorboard" / name), purge_step=done[name] + 1)
+        board = open_board(folder / "tensorboard" / name, done[name] + 1)
         training = train(models[name], data, **cfg[name], optimizer=optimizers[name], done=done[name])
         bar = tqdm(training, name, cfg[name].epochs, initial=done[name], unit="epoch", file=sys.stderr, disable=None)
-        for metrics in bar:
-            epoch = metrics.pop("epoch")
-            for key, value in metrics.items():
-                board.add_scalar(f"{name}/{key}", value, epoch)
-            board.flush()
-            bar.set_postfix({key: f"{value:.3f}" for key, value in metrics.items()})
-            done[name], seconds = epoch, time.perf_counter() - began
-            checkpoint.save(folder / STATE, {"done": done, "seconds": seconds})
+        with stopping(f"{name} training", folder / STATE):
+            for metrics in bar:
+                epoch = metrics.pop("epoch")
+                for key, value in metrics.items():
+                    board.add_scalar(f"{name}/{key}", value, epoch)
+                board.flush()
+                bar.set_postfix({key: f"{value:.3f}" for key, value in metrics.items()})
+                done[name], seconds = epoch, time.perf_counter() - began
+                checkpoint.save(folder / STATE, {"done": done, "seconds": seconds})
         board.close()
     return seconds
 

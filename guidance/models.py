@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from airhockey_marl.files import load_tensors, save_tensors, sha256
-from airhockey_marl.league import League, require_weights
+from airhockey_marl.league import League, require_finite, require_weights
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.table import Table
 from guidance.conditions import OPTIMAL
@@ -34,10 +34,18 @@ def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
     try:
         model = GaussianPolicy.from_facts(facts)
         require_weights(model, {name: tuple(tensor.shape) for name, tensor in tensors.items()})
+        require_finite(tensors)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     model.load_state_dict(tensors)
     return model.requires_grad_(False), facts
+
+
+def _require_fact(path: Path | str, facts: dict, name: str, least: float, most: float) -> None:
+    """Refuse a number, if the file has it, that no training writes: NaN, a text, or out of range."""
+    value = facts.get(name, least)
+    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
+        raise ValueError(f"{path}: {name} = {value} must be a number from {least:g} to {most:g}")
 
 
 @dataclass(frozen=True)
@@ -70,6 +78,9 @@ class Models:
         (user_model, user_facts), (meta_model, facts) = load_user_model(user), load_user_model(meta)
         if "inner_lr" not in facts:
             raise ValueError(f"{meta} was not meta-learned: it has no inner_lr")
+        for path, known in ((meta, facts), (user, user_facts)):
+            _require_fact(path, known, "inner_lr", 0.0, 1e3)
+            _require_fact(path, known, "ahead_s", 0.0, 1.0)
         ahead = {facts.get("ahead_s", 0.0), user_facts.get("ahead_s", 0.0)}
         if len(ahead) > 1:
             raise ValueError(f"{user} and {meta} predict different times ahead, {sorted(ahead)} s")

@@ -11,7 +11,6 @@ folder: for every stretch of play under one condition a table with a row per tic
 
 from pathlib import Path
 
-import hydra
 import numpy as np
 import pandas as pd
 import torch
@@ -20,6 +19,7 @@ from omegaconf import DictConfig
 from tensordict import TensorDict
 from torch import Tensor
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import InputError, command, input_errors, require_counts, require_numbers
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
@@ -217,9 +217,9 @@ def main(cfg: DictConfig) -> None:
         require_numbers(cfg, "breath", least=0.0, at_most=10.0)
         if cfg.seconds is not None:
             require_numbers(cfg, "seconds")
-        protocol: Protocol = hydra.utils.instantiate(cfg.study)
+        protocol: Protocol = build(cfg.study)
         check_device(cfg.device)
-        begin_with: Condition = hydra.utils.instantiate(cfg.condition)
+        begin_with: Condition = build(cfg.condition)
         if ADAPTED in begin_with.guidance.models():
             raise InputError(f"condition = {begin_with.name} needs a model of you: begin with another, and press a")
         cfg.condition = None
@@ -227,12 +227,12 @@ def main(cfg: DictConfig) -> None:
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
         opponents = League.load(cfg.models.opponents)
         opponents.player(cfg.opponent)
-        limits: Limits = hydra.utils.instantiate(cfg.safety)
+        limits: Limits = build(cfg.safety)
         minds, serves = (streams(cfg.seed, [0], NO_CONDITION, purpose) for purpose in (0, 1))
         person = None
         if cfg.device.kind == "simulated":
             check_variant(cfg.users.variant)
-            population: Population = hydra.utils.instantiate(cfg.users.population)
+            population: Population = build(cfg.users.population)
             people, mentors = sample_people(1, cfg.seed, population), load_mentors(cfg.users.mentors)
             person = Users(people, minds, Table(), cfg.users.variant, mentors)
     torch.set_num_threads(cfg.threads)

@@ -13,13 +13,13 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
-import hydra
 import numpy as np
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import sha256, write_json, write_text
 from airhockey_marl.inference import steady
@@ -77,7 +77,7 @@ def check(cfg: DictConfig) -> None:
 def main(cfg: DictConfig) -> None:
     with input_errors():
         check(cfg)
-        population: Population = hydra.utils.instantiate(cfg.users.population)
+        population: Population = build(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
         models = Models.load(cfg.models.league, -1, cfg.models.user, cfg.models.meta)
         opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))

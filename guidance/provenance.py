@@ -7,9 +7,9 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import hydra
 from omegaconf import DictConfig, OmegaConf
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import CONF
 from airhockey_marl.files import sha256
 from guidance.conditions import Condition
@@ -29,11 +29,11 @@ def chosen_conditions(cfg: DictConfig) -> list[Condition]:
         ValueError: a condition is not valid, or two have the same letter.
     """
     if cfg.get("condition") is not None:
-        return [hydra.utils.instantiate(cfg.condition)]
+        return [build(cfg.condition)]
     nodes = [OmegaConf.load(path) for path in (CONF / "condition").glob("**/*.yaml" if cfg.get("beyond") else "*.yaml")]
     for node in nodes:
         node._set_parent(cfg)  # what a condition refers to, as ${guidance.spring}, is in the configuration
-    conditions = sorted((hydra.utils.instantiate(node) for node in nodes), key=lambda condition: condition.letter)
+    conditions = sorted((build(node) for node in nodes), key=lambda condition: condition.letter)
     for one, other in pairwise(conditions):
         if one.letter == other.letter:
             raise ValueError(f"condition.letter = {one.letter} is that of {one.name} and of {other.name}")

@@ -12,8 +12,7 @@ import json
 import math
 import os
 import re
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from pathlib import Path
@@ -22,7 +21,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from airhockey_marl.files import write_text
+from airhockey_marl.files import remove, saying, settle, write_text
 from guidance.conditions import Guided
 from guidance.stats import METRICS
 from guidance.users.rating import RATINGS
@@ -36,25 +35,6 @@ _PARTIAL, _BEHAVIOUR = "_desc-partial_beh", "_beh"
 
 Columns = Mapping[str, Mapping[str, str]]
 """Column -> its description as BIDS has it: `Description` and `Units`, and more if it helps."""
-
-
-@contextmanager
-def saying(path: Path) -> Iterator[None]:
-    """For whatever writes `path`: an `OSError` in it names the file, and says that nothing else is lost."""
-    try:
-        yield
-    except OSError as error:
-        reason = error.strerror or str(error)
-        raise OSError(error.errno, f"{path} cannot be written: {reason}. What was saved before is as it was") from error
-
-
-def settle(folder: Path) -> None:
-    """Have the folder's names on the disk: without it a power cut may take a rename back."""
-    handle = os.open(folder, os.O_RDONLY)
-    try:
-        os.fsync(handle)
-    finally:
-        os.close(handle)
 
 
 def save_text(path: Path, text: str) -> None:
@@ -84,23 +64,10 @@ def load_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def clear(folder: Path) -> None:
-    """Remove the temporary files that a crash has left below a folder: what is in them never came to be."""
-    for file in folder.rglob(".*"):
-        if re.fullmatch(r"\..+\.[a-z0-9_]{8}(\.\w+)?", file.name) and file.is_file():
-            _remove(file)
-
-
 def _rename(old: Path, new: Path) -> None:
     with saying(new):
         old.replace(new)
         settle(new.parent)
-
-
-def _remove(path: Path) -> None:
-    with saying(path):
-        path.unlink(missing_ok=True)
-        settle(path.parent)
 
 
 @dataclass(frozen=True)
@@ -345,7 +312,7 @@ def rescue(folder: Path) -> list[Path]:
         if _named(stem, _BEHAVIOUR, ".json").exists():
             _complete(stem)
         elif not table.exists():  # the game had not begun
-            _remove(described)
+            remove(described)
         else:
             k = 1
             while _named(stem, f"_desc-interrupted{k}_beh", ".tsv").exists():
@@ -378,7 +345,7 @@ def _complete(stem: Path) -> None:
     table = _named(stem, _PARTIAL, ".tsv")
     if table.exists():
         _rename(table, _named(stem, _BEHAVIOUR, ".tsv"))
-    _remove(_named(stem, _PARTIAL, ".json"))
+    remove(_named(stem, _PARTIAL, ".json"))
 
 
 def _cell(name: str, value: Any) -> str:

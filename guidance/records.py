@@ -12,7 +12,6 @@ the next one is touched, participants.tsv and the games are the truth, and all e
 time has the folder: its lock goes with the process, however that ends.
 """
 
-import fcntl
 import hashlib
 import os
 import re
@@ -26,6 +25,8 @@ from typing import Any
 
 import pandas as pd
 
+from airhockey_marl.files import clear, saying, settle
+from airhockey_marl.lock import take
 from guidance.recording import (
     OBJECTIVE,
     RESULTS,
@@ -33,14 +34,11 @@ from guidance.recording import (
     Columns,
     Game,
     Recording,
-    clear,
     games_in,
     load_json,
     rescue,
     save_json,
     save_text,
-    saying,
-    settle,
 )
 from guidance.stats import CONDITIONS
 from guidance.users.rating import RATINGS
@@ -93,7 +91,7 @@ class Records:
         self.folder, self._on = Path(folder), None
         with saying(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock: int | None = _lock(self.folder)
+            self._lock: int | None = take(self.folder, "records")
         try:
             self.manifest = self._same_study(facts)
             clear(self.folder)
@@ -396,23 +394,3 @@ def check_label(label: str) -> None:
     fine = isinstance(label, str) and re.fullmatch(r"[A-Za-z0-9]{1,16}", label)
     if not fine or label.lower() in NOT_LABELS:
         raise ValueError(f"participant = {label!r} must be 1 to 16 letters and digits, and not {', '.join(NOT_LABELS)}")
-
-
-def _lock(folder: Path) -> int:
-    """The handle of the folder's lock, which this process now holds.
-
-    Raises:
-        ValueError: another one does.
-    """
-    handle = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o644)
-    try:
-        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        holder = os.pread(handle, 32, 0).decode("ascii", "replace").strip()
-        os.close(handle)
-        raise ValueError(
-            f"records = {folder} is in use by process {holder or 'unknown'}; one at a time can have it"
-        ) from None
-    os.ftruncate(handle, 0)
-    os.pwrite(handle, f"{os.getpid()}\n".encode("ascii"), 0)
-    return handle

@@ -20,13 +20,13 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-import hydra
 import numpy as np
 import pandas as pd
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import (
     InputError,
     ProgressBar,
@@ -39,6 +39,7 @@ from airhockey_marl.cli import (
 from airhockey_marl.files import replacing, write_json, write_text
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
+from airhockey_marl.lock import locked
 from airhockey_marl.page import template
 from airhockey_marl.table import Table
 from guidance.figures import robustness_map, save_figure
@@ -91,42 +92,43 @@ def main(cfg: DictConfig) -> None:
         if cfg.resume is not None:
             cfg = config_of(Path(cfg.resume), STATE)
         check(cfg)
-        population: Population = hydra.utils.instantiate(cfg.users.population)
+        population: Population = build(cfg.users.population)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
         opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
         mentors = load_mentors(cfg.users.mentors)
-        conditions, protocol = chosen_conditions(cfg), hydra.utils.instantiate(cfg.study)
+        conditions, protocol = chosen_conditions(cfg), build(cfg.study)
         factors = assumptions(cfg, population)
     torch.set_num_threads(cfg.threads)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    command_line = " ".join(["python -m guidance.replicate", *HydraConfig.get().overrides.task])
-    facts = manifest(cfg, hashes_of(cfg, models), command_line, 0.0)
-    facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
-    write_json(folder / STATE, facts)
-    with replacing(folder / "factors.csv") as temporary:
-        factors.to_csv(temporary, index_label="study")
+    with locked(folder, "run"):
+        command_line = " ".join(["python -m guidance.replicate", *HydraConfig.get().overrides.task])
+        facts = manifest(cfg, hashes_of(cfg, models), command_line, 0.0)
+        facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
+        write_json(folder / STATE, facts)
+        with replacing(folder / "factors.csv") as temporary:
+            factors.to_csv(temporary, index_label="study")
 
-    progress, began = ProgressBar(), time.perf_counter()
-    batches = batches_of(cfg)
-    scales = OmegaConf.to_container(cfg.users.scales)
-    for i, batch in enumerate(batches):
-        if (file := batch.file(folder)).is_file():
-            continue
-        populations = [batch.population(population, factors, study) for study in batch.studies]
-        cohorts = [
-            Cohort(sample_people(cfg.participants, cfg.seed + study, drawn_from), cfg.seed + study)
-            for study, drawn_from in zip(batch.studies, populations, strict=True)
-        ]
-        told = partial(_tell, progress, f"batch {i + 1} of {len(batches)}")
-        how = (cfg.guidance.lookahead, protocol, Table(), batch.variant, mentors, scales, told)
-        trials = run_studies(cohorts, conditions, models, opponent, *how, swapped=batch.group == SWAPPED)
-        numbered = [t.assign(group=batch.group, study=k) for k, t in zip(batch.studies, trials, strict=True)]
-        with replacing(file) as temporary:
-            pd.concat(numbered).to_csv(temporary, index=False)
-    progress.close()
-    write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
-    print(summarise(folder, cfg, facts, factors))
-    print(f"\nreport: {folder / 'replicate.html'}")
+        progress, began = ProgressBar(), time.perf_counter()
+        batches = batches_of(cfg)
+        scales = OmegaConf.to_container(cfg.users.scales)
+        for i, batch in enumerate(batches):
+            if (file := batch.file(folder)).is_file():
+                continue
+            populations = [batch.population(population, factors, study) for study in batch.studies]
+            cohorts = [
+                Cohort(sample_people(cfg.participants, cfg.seed + study, drawn_from), cfg.seed + study)
+                for study, drawn_from in zip(batch.studies, populations, strict=True)
+            ]
+            told = partial(_tell, progress, f"batch {i + 1} of {len(batches)}")
+            how = (cfg.guidance.lookahead, protocol, Table(), batch.variant, mentors, scales, told)
+            trials = run_studies(cohorts, conditions, models, opponent, *how, swapped=batch.group == SWAPPED)
+            numbered = [t.assign(group=batch.group, study=k) for k, t in zip(batch.studies, trials, strict=True)]
+            with replacing(file) as temporary:
+                pd.concat(numbered).to_csv(temporary, index=False)
+        progress.close()
+        write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
+        print(summarise(folder, cfg, facts, factors))
+        print(f"\nreport: {folder / 'replicate.html'}")
 
 
 def check(cfg: DictConfig) -> None:

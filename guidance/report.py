@@ -40,6 +40,7 @@ from guidance.stats import (
 )
 
 TRIALS = "trials.csv"
+FORMULA = "=+-@"  # what a spreadsheet's formula begins with
 PAPERS_LETTERS = [condition.letter for condition in CONDITIONS.values()]
 SHORT = ("win rate", "smash", "defense", "disagree", "helpful", "natural", "control", "comfort")
 
@@ -126,6 +127,10 @@ def _read(file: Path) -> pd.DataFrame:
         raise ValueError(f"{file} lacks the columns {', '.join(absent)}")
     if trials.empty:
         raise ValueError(f"{file} holds no games")
+    for name in ("user", "condition"):  # programs that open tables take some texts for formulas, and run them
+        for text in trials[name].dropna().unique():
+            if text[:1] in FORMULA or not text.isprintable():
+                raise ValueError(f"{file}: {name} = {text[:40]!r} must be a name, and begin with none of {FORMULA}")
     return trials
 
 

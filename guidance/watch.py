@@ -15,7 +15,6 @@ from pathlib import Path
 from string import ascii_lowercase
 from typing import Any
 
-import hydra
 import numpy as np
 import pandas as pd
 import torch
@@ -23,6 +22,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from tensordict import TensorDict
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import InputError, ProgressBar, choices, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import found_below, replacing
 from airhockey_marl.inference import steady
@@ -115,8 +115,8 @@ def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dic
     """Let a simulated person play; the game, and what its film says about it."""
     table = Table()
     with input_errors():
-        condition: Condition = hydra.utils.instantiate(cfg.condition)
-        protocol: Protocol = hydra.utils.instantiate(cfg.study)
+        condition: Condition = build(cfg.condition)
+        protocol: Protocol = build(cfg.study)
         person, mentors = chosen_person(cfg), load_mentors(cfg.users.mentors)
         models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
         opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
@@ -165,7 +165,7 @@ def chosen_person(cfg: DictConfig) -> np.ndarray:
     Raises:
         InputError: there is no such archetype or skill.
     """
-    population: Population = hydra.utils.instantiate(cfg.users.population)
+    population: Population = build(cfg.users.population)
     if cfg.user is not None and cfg.user not in population.archetypes:
         raise InputError(f"user = {cfg.user} must be one of {', '.join(population.archetypes)}, null")
     if cfg.skill is not None:

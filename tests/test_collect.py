@@ -4,7 +4,6 @@ import json
 import sys
 from pathlib import Path
 
-import hydra
 import numpy as np
 import pandas as pd
 import pyarrow.parquet as pq
@@ -13,6 +12,7 @@ import torch
 from omegaconf import OmegaConf
 from tensordict import NonTensorData, TensorDict
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import CONF
 from airhockey_marl.files import sha256
 from airhockey_marl.inference import steady
@@ -38,7 +38,7 @@ def run(folder: Path, *arguments: str) -> Path:
 
 
 def population() -> Population:
-    return hydra.utils.instantiate(OmegaConf.load(CONF / "users" / "default.yaml").population)
+    return build(OmegaConf.load(CONF / "users" / "default.yaml").population)
 
 
 def play(people: np.ndarray, seed: int, ticks: int = TICKS) -> collect.Demonstrations:

@@ -1,11 +1,11 @@
 """The nine conditions are what their yaml says: the equations, composed."""
 
-import hydra
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import CONF
 from guidance.conditions import Blended, Combined, NoGuidance, Product, Spring, Target, Thresholds, Toward
 from guidance.forces import similarity_weight, uncertainty_weight
@@ -109,7 +109,7 @@ def test_a_yaml_is_all_it_takes_to_add_a_condition():
     node = OmegaConf.load(CONF / "condition" / "combhg_ua.yaml")
     node.name, node.guidance.user.model = "combhg_without_ua", "user"
     root = OmegaConf.create({"guidance": OmegaConf.load(CONF / "guidance" / "default.yaml"), "condition": node})
-    condition = hydra.utils.instantiate(root.condition)
+    condition = build(root.condition)
     assert condition.guidance.models() == {"optimal", "user"}
 
 

@@ -7,6 +7,7 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import CONF
 from guidance.users import Population
 
@@ -48,4 +49,4 @@ def test_every_key_of_a_primary_yaml_is_explained_above_it(name):
 
 def test_the_yaml_of_the_population_is_the_population():
     cfg = OmegaConf.load(CONF / "users" / "default.yaml")
-    assert hydra.utils.instantiate(cfg.population) == Population.usual()
+    assert build(cfg.population) == Population.usual()

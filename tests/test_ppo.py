@@ -5,7 +5,6 @@ from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
-import hydra
 import pytest
 import torch
 from omegaconf import OmegaConf
@@ -13,6 +12,7 @@ from tensordict import TensorDict
 from torch import nn
 from torch.optim import Optimizer
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import CONF
 from airhockey_marl.learner import Algorithm
 from airhockey_marl.policy import BODY_SCALE, Critic, GaussianPolicy
@@ -195,4 +195,4 @@ def test_wrong_settings_are_named(field, value):
 
 
 def test_the_yaml_is_a_ppo():
-    assert isinstance(hydra.utils.instantiate(OmegaConf.load(CONF / "algorithm" / "ppo.yaml")), PPO)
+    assert isinstance(build(OmegaConf.load(CONF / "algorithm" / "ppo.yaml")), PPO)

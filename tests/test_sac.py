@@ -1,10 +1,10 @@
 """SAC: that it learns, what its memory holds, its settings, and that it can be stopped and resumed exactly."""
 
-import hydra
 import pytest
 import torch
 from omegaconf import OmegaConf
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import CONF
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.sac import SAC, Memory, QNetwork
@@ -133,6 +133,6 @@ def test_wrong_layers_are_named():
 
 
 def test_the_yaml_is_a_sac():
-    algorithm = hydra.utils.instantiate(OmegaConf.load(CONF / "algorithm" / "sac.yaml"))
+    algorithm = build(OmegaConf.load(CONF / "algorithm" / "sac.yaml"))
     assert isinstance(algorithm, SAC)
     assert len(algorithm.learner(GaussianPolicy(), 0.98).parts()["memory"].reward) == algorithm.capacity

@@ -4,12 +4,12 @@ import math
 import random
 from dataclasses import asdict
 
-import hydra
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import CONF
 from guidance.safety import Limits, Safety, within
 
@@ -328,7 +328,7 @@ def test_only_the_soft_start_may_be_nothing(name):
 
 def test_the_configuration_is_the_default_and_every_key_is_explained():
     path = CONF / "safety" / "default.yaml"
-    assert hydra.utils.instantiate(OmegaConf.load(path)) == Limits()
+    assert build(OmegaConf.load(path)) == Limits()
     lines = path.read_text(encoding="utf-8").splitlines()
     keys = [index for index, line in enumerate(lines) if not line.startswith("#")]
     assert len(keys) == 1 + len(asdict(Limits())) and all(lines[index - 1].startswith("#") for index in keys)

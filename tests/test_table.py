@@ -1,5 +1,7 @@
 """The physics: contacts, limits, symmetry, energy, and what a legal state can never become."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
@@ -215,8 +217,32 @@ def test_a_puck_squeezed_into_the_wall_stays_on_the_table():
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("length", -1.0), ("goal", 2.0), ("wall_restitution", 1.2), ("drag", float("nan")), ("tick", 0.0)],
+    [
+        ("length", -1.0),
+        ("goal", 2.0),
+        ("wall_restitution", 1.2),
+        ("drag", float("nan")),
+        ("tick", 0.0),
+        ("tick", 1e300),
+        ("paddle_speed", float("inf")),
+        ("paddle_acceleration", 1e200),
+        ("puck_radius", 1e-300),
+        ("substeps", 0),
+        ("substeps", 2.0),  # of a loop that is compiled for whole numbers
+        ("substeps", 10**12),
+        ("width", "wide"),
+        ("goal", None),
+        ("friction", True),
+    ],
 )
 def test_a_table_that_cannot_be_played_on_is_refused_by_name(field, value):
-    with pytest.raises(ValueError, match=f"table.{field} = {value}"):
+    with pytest.raises(ValueError, match=re.escape(f"table.{field} = {value}")):
         check_table(TABLE._replace(**{field: value}))
+
+
+def test_a_paddle_that_has_no_room_in_its_half_is_refused():
+    """Its bounds would be the wrong way round, and it would live on the other side."""
+    wide = Table(length=1.5, width=2.0, paddle_radius=0.4)
+    with pytest.raises(ValueError, match=r"table\.paddle_radius = 0\.4 must be below a quarter of the table's length"):
+        check_table(wide)
+    assert check_table(wide._replace(length=1.7))

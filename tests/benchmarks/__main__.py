@@ -15,7 +15,6 @@ from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
-import hydra
 import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
@@ -23,6 +22,7 @@ from tensordict.nn import TensorDictSequential
 from torch.func import grad_and_value
 from torchrl.collectors import Collector
 
+from airhockey_marl.building import build
 from airhockey_marl.cli import CONF
 from airhockey_marl.env import SEATS, AirHockey, make_env
 from airhockey_marl.inference import steady
@@ -110,7 +110,7 @@ def collected_frames(batch: int = 5000, tables: int = 250) -> float:
 def trained_frames(*overrides: str, generations: int = 2, steps: int = 100_000) -> float:
     """End to end: collection, advantages, update, freezing, matches, writing."""
     cfg = config("train", f"generations={generations}", f"steps_per_generation={steps}", *overrides)
-    algorithm, sampler = (hydra.utils.instantiate(node) for node in (cfg.algorithm, cfg.league.sampler))
+    algorithm, sampler = (build(node) for node in (cfg.algorithm, cfg.league.sampler))
 
     def run() -> None:
         env = make_env("batched", cfg.env.tables, cfg.env.round_seconds, cfg.env.decision_ticks, cfg.seed)
@@ -204,9 +204,9 @@ def study() -> float:
         rating_scales=dict(cfg.users.scales),
         seed=cfg.seed,
     )
-    run(sample_people(1, 0), protocol=hydra.utils.instantiate(cfg.study, rounds=1, min_seconds=0))  # compile
+    run(sample_people(1, 0), protocol=build(cfg.study, rounds=1, min_seconds=0))  # compile
     began = time.perf_counter()
-    run(sample_people(cfg.participants, cfg.seed), protocol=hydra.utils.instantiate(cfg.study))
+    run(sample_people(cfg.participants, cfg.seed), protocol=build(cfg.study))
     return time.perf_counter() - began
 
 
