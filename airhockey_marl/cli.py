@@ -24,12 +24,15 @@ CONF = ROOT / "conf"  # absolute: a relative path means something else under a c
 # What a choice of Hydra's own groups needs, and the extra that brings it.
 JOBLIB = ("hydra_plugins.hydra_joblib_launcher", "joblib")
 SUBMITIT = ("hydra_plugins.hydra_submitit_launcher", "submitit")
+OPTUNA = ("hydra_plugins.hydra_optuna_sweeper", "optuna")
 PLUGINS = {
     "hydra/launcher=cores": JOBLIB,
     "hydra/launcher=slurm": SUBMITIT,
     "hydra/launcher=slurm_here": SUBMITIT,
     "hydra/launcher=ray": ("ray", "ray"),
-    "hydra/sweeper=optuna": ("hydra_plugins.hydra_optuna_sweeper", "optuna"),
+    "sweep=maml": OPTUNA,
+    "sweep=trpo": OPTUNA,
+    "hydra/sweeper=optuna": OPTUNA,
 }
 
 # ${project:path} in a yaml is a path in the project, from whatever folder a command is started.
@@ -254,7 +257,7 @@ def _keep_own_keys(cfg: DictConfig, name: str) -> None:
     own = groups | set(primary)
     for override in HydraConfig.get().overrides.task:
         key = override.lstrip("+~").split("=")[0].split(".")[0].split("@")[0]
-        if key not in own | {"preset"}:
+        if key not in own | {"preset", "sweep"}:
             raise InputError(f"{override}: {key} is not a key of conf/{name}.yaml")
     with open_dict(cfg):
         for key in set(cfg) - own:

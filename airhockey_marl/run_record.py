@@ -125,6 +125,10 @@ class Record(Callback):
     A run that goes on with an earlier one (`resume`) speaks for that one's folder as well.
     """
 
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        """Make the sweep's folder, which stands above a search's database, before anybody writes there."""
+        Path(config.hydra.sweep.dir).mkdir(parents=True, exist_ok=True)
+
     def on_job_start(self, config: DictConfig, **_: Any) -> None:
         """Write that the job is running."""
         pid = os.getpid()
