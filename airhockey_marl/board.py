@@ -1,12 +1,93 @@
-"""TensorBoard's files, in which a run that was stopped and goes on shows every step once."""
+"""What TensorBoard shows of a run: a fixed vocabulary, its layout, the settings as a card and as hyperparameters.
 
+VOCABULARY explains every tag that any command writes; the tests hold the event files against it.
+"""
+
+import json
 import re
 import time
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
+from omegaconf import DictConfig, OmegaConf
 from torch.utils.tensorboard import SummaryWriter
+from torch.utils.tensorboard.summary import hparams
 
+# tag, with * for what varies, and what it is; x is the number of steps of play unless said otherwise
+VOCABULARY = {
+    "update/*": "what the algorithm says of its updates, averaged over a generation (TRPO: kl, gain, step, std, ...)",
+    "win_rate_against/*": "share of decided rounds that a new generation wins against an older one or a script",
+    "speed/steps_per_s": "steps of play per second since the run began; the only scalars that two equal runs differ in",
+    "rating/*": "Elo points above generation 0, of the generations of the payoff matrix and of the scripts",
+    "save_rate/*": "share of the striker's shots that are saved, by the last generation and by the defender",
+    "std/*": "mean STD of the last generation's actions, in units of action, by situation",
+    "report/*": "pictures: payoff (who beats whom), rating, precision, and match, a film",
+    "maml/*": "per epoch: loss of Eq. 3 after adaptation (Eq. 2), and loss_before it",
+    "supervised/*": "per epoch: loss of Eq. 3 without meta-learning",
+    "study/*": "mean of a metric over people, by condition: study/<metric>/<condition>",
+    "force/*": "histogram of the size of the force in N, every tick of everybody's game, by condition",
+    "w_*": "histogram of a weight (w_unc_optimal, w_unc_user, w_sim), ditto, by condition that uses it",
+    "figure/*": "pictures of a study: figure6",
+    "score/*": "what a finished run is judged by; the metrics of the HPARAMS page",
+    "card/text_summary": "the resolved configuration",
+}
+LAYOUT = {
+    "League": {
+        "rounds won against": ["Multiline", [r"win_rate_against/.*"]],
+        "trust region": ["Multiline", [r"update/(kl|gain|step)$"]],
+        "STD of actions": ["Multiline", [r"update/std$", r"std/.*"]],
+        "critic": ["Multiline", [r"update/critic_loss$"]],
+        "ratings": ["Multiline", [r"rating/.*"]],
+    },
+    "User models": {
+        "meta-learning, loss of Eq. 3": ["Multiline", [r"maml/loss", r"maml/loss_before"]],
+        "without, loss of Eq. 3": ["Multiline", [r"supervised/loss"]],
+    },
+}
 STAMPED = re.compile(r"(events\.out\.tfevents\.)(\d{10})(\..*)")
+NOT_SETTINGS = ("resume", "threads")  # how a run is run, not what it is
+
+
+def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A tree of settings as dotted names; lists as they are written on the command line."""
+    leaves: dict[str, Any] = {}
+    for key, value in tree.items():
+        if isinstance(value, Mapping):
+            leaves |= flat(value, f"{prefix}{key}.")
+        else:
+            leaves[f"{prefix}{key}"] = json.dumps(value).replace(" ", "") if isinstance(value, list) else value
+    return leaves
+
+
+def introduce(writer: SummaryWriter, cfg: DictConfig) -> None:
+    """Log what a run is, once, as it begins: the layout of the CUSTOM SCALARS page, and the card on the TEXT page."""
+    writer.add_custom_scalars(LAYOUT)
+    yaml = OmegaConf.to_yaml(cfg, resolve=True)
+    writer.add_text("card", "".join(f"    {line}\n" for line in yaml.splitlines()))  # indented: verbatim in markdown
+
+
+def conclude(writer: SummaryWriter, cfg: DictConfig, scores: Mapping[str, float], step: int = 0) -> None:
+    """Log what came of a finished run, as `score/*` and on the HPARAMS page beside all its settings.
+
+    Args:
+        scores: by name; what is not a number is left out.
+    """
+    known = {f"score/{name}": float(value) for name, value in scores.items() if value == value}
+    settings = {
+        name: value if isinstance(value, bool | int | float | str) else json.dumps(value)
+        for name, value in flat(OmegaConf.to_container(cfg, resolve=True)).items()
+        if name not in NOT_SETTINGS
+    }
+    for summary in hparams(settings, known):
+        writer._get_file_writer().add_summary(summary)
+    for name, value in known.items():
+        writer.add_scalar(name, value, step)
+
+
+def board_of(folder: Path | str) -> Path:
+    """Where a run's event files lie."""
+    return Path(folder) / "tensorboard"
 
 
 def open_board(folder: Path, purge_step: int) -> SummaryWriter:

@@ -4,13 +4,18 @@ import functools
 import io
 import os
 import sys
+import traceback
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
+from importlib.util import find_spec
 from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.errors import InstantiationException
+from hydra.core.plugins import Plugins
+from hydra.core.utils import env_override
+from hydra.errors import HydraException, InstantiationException
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
@@ -20,6 +25,20 @@ from airhockey_marl.files import UNWRITABLE, Unwritten
 
 ROOT = Path(__file__).resolve().parents[1]
 CONF = ROOT / "conf"  # absolute: a relative path means something else under a console script
+# What a choice of Hydra's own groups needs, and the extra that brings it.
+JOBLIB = ("hydra_plugins.hydra_joblib_launcher", "joblib")
+SUBMITIT = ("hydra_plugins.hydra_submitit_launcher", "submitit")
+OPTUNA = ("hydra_plugins.hydra_optuna_sweeper", "optuna")
+RAY = "hydra/launcher=ray"
+PLUGINS = {
+    "hydra/launcher=cores": JOBLIB,
+    "hydra/launcher=slurm": SUBMITIT,
+    "hydra/launcher=slurm_here": SUBMITIT,
+    RAY: ("ray", "ray"),
+    "sweep=maml": OPTUNA,
+    "sweep=trpo": OPTUNA,
+    "hydra/sweeper=optuna": OPTUNA,
+}
 
 # ${project:path} in a yaml is a path in the project, from whatever folder a command is started.
 OmegaConf.register_new_resolver("project", lambda path: str(ROOT / path), replace=True)
@@ -59,7 +78,9 @@ def input_errors() -> Iterator[None]:
 
 def manual(name: str, doc: str) -> str:
     """The text of `--help`: the command's docstring, the choices of each group, and its primary yaml as commented."""
-    groups = [f"  {group} = {' | '.join(options)}" for group, options in choices().items()]
+    launchers = sorted(path.stem for path in (CONF / "hydra" / "launcher").glob("*.yaml"))
+    options_of = choices() | {"hydra/launcher": ["basic", *launchers]}
+    groups = [f"  {group} = {' | '.join(options)}" for group, options in options_of.items()]
     return "\n".join(
         [
             doc.strip(),
@@ -77,7 +98,45 @@ def manual(name: str, doc: str) -> str:
     )
 
 
-def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], None]]:
+def missing_extra(arguments: Sequence[str]) -> str | None:
+    """What to install for the launcher or sweeper that the arguments ask for; None if it is there."""
+    for argument in arguments:
+        module, extra = PLUGINS.get(argument.lstrip("+"), (None, ""))
+        if module is not None and not _is_there(module):
+            return f"{argument} needs what `pip install 'airhockey-haptics[{extra}]'` brings: there is no {module}"
+    return None
+
+
+class HeldBack:
+    """Standard error between a command's start and its task's: Hydra reports a wrong override over many lines.
+
+    A launcher sends a job to another process together with all that it refers to. There, nothing is held back.
+
+    Attributes:
+        held: what was written meanwhile.
+    """
+
+    def __init__(self) -> None:
+        self.held, self._terminal = io.StringIO(), None
+
+    def __reduce__(self) -> tuple[type, tuple]:
+        return type(self), ()
+
+    @contextmanager
+    def holding(self) -> Iterator[None]:
+        """Hold back what the block writes, but for what is `let_through`."""
+        self._terminal = sys.stderr
+        with redirect_stderr(self.held):
+            yield
+
+    @contextmanager
+    def let_through(self) -> Iterator[None]:
+        """Show what the block writes."""
+        with redirect_stderr(self._terminal or sys.stderr):
+            yield
+
+
+def command(name: str) -> Callable[[Callable[[DictConfig], float | None]], Callable[[], None]]:
     """Turn a function of a configuration into a command configured by `conf/<name>.yaml`.
 
     Wrong values, whether Hydra finds them or the function does (`InputError`), end in one line on standard error
@@ -85,52 +144,56 @@ def command(name: str) -> Callable[[Callable[[DictConfig], None]], Callable[[], 
     are none any more. Anything else is a bug and keeps its traceback.
     """
 
-    def decorate(task: Callable[[DictConfig], None]) -> Callable[[], None]:
+    def decorate(task: Callable[[DictConfig], float | None]) -> Callable[[], None]:
         @functools.wraps(task)
         def main() -> None:
             if {"--help", "-h"} & set(sys.argv[1:]):
                 print(manual(name, sys.modules[task.__module__].__doc__ or ""))
                 return
-            if complaint := wrong_choice(sys.argv[1:]):
+            if complaint := wrong_choice(sys.argv[1:]) or missing_extra(sys.argv[1:]):
                 _say_error(complaint)
                 sys.exit(2)
-            composing, terminal = io.StringIO(), sys.stderr
-            started = False
+            _register_plugins(sys.argv[1:])
+            errors = HeldBack()
 
-            def run(cfg: DictConfig) -> None:
-                nonlocal started
-                started, sys.stderr = True, terminal
-                try:
-                    _keep_own_keys(cfg, name)
-                    OmegaConf.to_container(cfg, resolve=True)  # finds a broken reference now
-                    missing = sorted(OmegaConf.missing_keys(cfg))
-                    if missing:
-                        raise InputError(f"{missing[0]} must be chosen: {missing[0]}=...")
-                    task(cfg)
-                except (InputError, OmegaConfBaseException) as error:
-                    _say_error(str(error))
-                    sys.exit(2)
-                except FloatingPointError as error:
-                    _say_error(str(error))
-                    sys.exit(1)
-                except OSError as error:
-                    if not isinstance(error, Unwritten) and error.errno not in UNWRITABLE:
+            def run(cfg: DictConfig) -> float | None:
+                with errors.let_through():
+                    try:
+                        _keep_own_keys(cfg, name)
+                        OmegaConf.to_container(cfg, resolve=True)  # finds a broken reference now
+                        missing = sorted(OmegaConf.missing_keys(cfg))
+                        if missing:
+                            raise InputError(f"{missing[0]} must be chosen: {missing[0]}=...")
+                        return task(cfg)
+                    except Exception as error:
+                        if HydraConfig.get().mode == RunMode.MULTIRUN:  # the other jobs go on: it is said here and now
+                            _say_failed(error)
                         raise
-                    _say_error(error.strerror if error.filename is None else f"{error.filename}: {error.strerror}")
-                    sys.exit(1)
 
-            os.environ.setdefault("HYDRA_FULL_ERROR", "0")
-            # Hydra reports a wrong override over many lines; hold them back until the task starts.
+            wants_trace = os.environ.get("HYDRA_FULL_ERROR") == "1"
             try:
-                with redirect_stderr(composing):
+                # Hydra then raises what it would print over many lines
+                with errors.holding(), env_override({"HYDRA_FULL_ERROR": "1"}):
                     hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(run)()
-            except SystemExit as stop:
-                if started or not stop.code:
+            except Exception as error:
+                trouble = _trouble(error)
+                of_input = isinstance(error, InputError | HydraException | OmegaConfBaseException)
+                if {"-m", "--multirun"} & set(sys.argv) and not isinstance(error, HydraException) and not wants_trace:
+                    _say_error(f"a job failed: {error}; `python -m guidance.runs` says what became of each")
+                    sys.exit(2 if of_input else 1)
+                if trouble is not None:
+                    _say_error(trouble)
+                    sys.exit(1)
+                if wants_trace or not of_input:
                     raise
-                _say_error(composing.getvalue().split("\nSet the environment variable")[0])
+                _say_error(f"{error} {error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else ''}")
                 sys.exit(2)
-            if not started:
-                terminal.write(composing.getvalue())
+            except SystemExit as stop:
+                if not stop.code:
+                    raise
+                _say_error(errors.held.getvalue())
+                sys.exit(2)
+            sys.stderr.write(errors.held.getvalue())
 
         return main
 
@@ -213,7 +276,7 @@ def _keep_own_keys(cfg: DictConfig, name: str) -> None:
     own = _own_keys(name)
     for override in HydraConfig.get().overrides.task:
         key = override.lstrip("+~").split("=")[0].split(".")[0].split("@")[0]
-        if key not in own | {"preset"}:
+        if key not in own | {"preset", "sweep"}:
             raise InputError(f"{override}: {key} is not a key of conf/{name}.yaml")
     with open_dict(cfg):
         for key in set(cfg) - own:
@@ -225,6 +288,38 @@ def _own_keys(name: str) -> set[str]:
     primary = OmegaConf.load(CONF / f"{name}.yaml")
     groups = {key for entry in primary.get("defaults", []) if isinstance(entry, DictConfig) for key in entry}
     return groups | set(primary)
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ModuleNotFoundError:  # not even the package that it would be in
+        return False
+
+
+def _register_plugins(arguments: Sequence[str]) -> None:
+    """Tell Hydra of our own launcher: of itself it looks only below a folder `hydra_plugins`."""
+    if RAY in {argument.lstrip("+") for argument in arguments}:
+        from airhockey_marl.ray_launcher import RayLauncher
+
+        Plugins.instance().register(RayLauncher)
+
+
+def _trouble(error: Exception) -> str | None:
+    """What to say of an error that is neither the input's fault nor a bug: no numbers any more, or a full disk."""
+    if isinstance(error, FloatingPointError):
+        return str(error)
+    if isinstance(error, OSError) and (isinstance(error, Unwritten) or error.errno in UNWRITABLE):
+        return str(error.strerror if error.filename is None else f"{error.filename}: {error.strerror}")
+    return None
+
+
+def _say_failed(error: Exception) -> None:
+    """Say which job of a sweep failed and why: wrong input in one line, a bug with its traceback."""
+    overrides = " ".join(HydraConfig.get().overrides.task)
+    if not isinstance(error, InputError | OmegaConfBaseException) and _trouble(error) is None:
+        traceback.print_exception(error)
+    _say_error(f"job {HydraConfig.get().job.num} ({overrides}): {error}")
 
 
 def _say_error(text: str) -> None:

@@ -2,7 +2,7 @@
 
     python -m airhockey_marl.train -m hidden=[32,32],[64,64],[64,64,64] generations=20
     python -m guidance.meta_train -m hidden=[40,40],[80,80],[80,80,80,80]
-    python -m airhockey_marl.grid runs=outputs/meta_train/<date>/<time>-sweep by=maml_after_ua_loss
+    python -m airhockey_marl.grid runs=outputs/meta_train/<date>/<time>-sweep by=after_ua_loss
 
 Reads the card.json of every run below `runs`: the settings that differ between them are one side of the table, the
 scores on the cards the other. Seeds are averaged. Writes grid.csv, a row per run, into its run folder, and prints the
@@ -18,6 +18,7 @@ import pandas as pd
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
+from airhockey_marl.board import flat
 from airhockey_marl.cli import InputError, command, input_errors
 from airhockey_marl.files import found_below, replacing
 
@@ -57,17 +58,6 @@ def read_cards(places: Iterable[str]) -> dict[Path, dict[str, Any]]:
             raise ValueError(f"{file} is not the card of a run: it has no config")
         cards[file.parent] = card
     return cards
-
-
-def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A tree of settings as dotted names; lists as they are written on the command line."""
-    leaves: dict[str, Any] = {}
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            leaves |= flat(value, f"{prefix}{key}.")
-        else:
-            leaves[f"{prefix}{key}"] = json.dumps(value).replace(" ", "") if isinstance(value, list) else value
-    return leaves
 
 
 def tabulate(cards: Mapping[Path, Mapping[str, Any]]) -> tuple[pd.DataFrame, list[str], list[str]]:

@@ -15,6 +15,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch.utils.tensorboard import SummaryWriter
 
+from airhockey_marl.board import board_of, introduce
 from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.exploit import best_response
 from airhockey_marl.findings import Effort, check
@@ -48,7 +49,8 @@ def main(cfg: DictConfig) -> None:
         responses = best_response(training, league, len(league) - 1, *how_long, cfg.seed, progress)
     found = write_report(folder, league, matches, card, effort, cfg.seed, responses, ticks, progress)
     progress.close()
-    with SummaryWriter(str(folder / "tensorboard")) as writer:
+    with SummaryWriter(str(board_of(folder))) as writer:
+        introduce(writer, cfg)
         log_to_tensorboard(writer, folder, found, card.get("steps", found.last))
     for line in summary(found):
         print(f"{line.outcome:>4}  {line.question}: {line.observed}")

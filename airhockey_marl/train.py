@@ -21,11 +21,12 @@ import pandas as pd
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
+from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs import EnvBase
 from tqdm import tqdm
 
 from airhockey_marl.anchors import ANCHORS
-from airhockey_marl.board import open_board
+from airhockey_marl.board import board_of, conclude, introduce, open_board
 from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import InputError, command, config_of, input_errors, require_counts, require_numbers
@@ -42,6 +43,7 @@ from airhockey_marl.shaping import Shaping, fading
 
 LEAGUE, MATCHES, STATE = "league.safetensors", "matches.csv", "state.safetensors"
 FACTS = {"generation": int, "matches": list, "goals": list, "seconds": float}  # of the state
+JUDGE = "striker"  # of the scripts: the strongest
 CARD_ROUNDS = 25  # times as many rounds as in training, for the scores on the card
 SEEDS_APART = 100_000  # more than there are tables in a match, each of which has a seed of its own
 
@@ -70,7 +72,8 @@ def check(cfg: DictConfig) -> None:
 
 
 @command("train")
-def main(cfg: DictConfig) -> None:
+def main(cfg: DictConfig) -> float:
+    """Train; for a sweeper, the last generation's share of decided rounds against the strongest script."""
     with input_errors():
         if cfg.resume is not None:
             cfg = config_of(Path(cfg.resume), STATE)
@@ -84,7 +87,12 @@ def main(cfg: DictConfig) -> None:
     with locked(folder, "run"):
         league, seconds = train(cfg, folder, env, policy, algorithm, sampler)
         made_by = " ".join(["python -m airhockey_marl.train", *HydraConfig.get().overrides.task])
-        write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **card(cfg, league)})
+        facts = card(cfg, league)
+        write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **facts})
+        scores = facts["win_rate_of_last_against"]
+        with SummaryWriter(str(board_of(folder))) as board:
+            conclude(board, cfg, {f"against_{name}": rate for name, rate in scores.items()}, facts["steps"])
+    return scores[JUDGE]
 
 
 def train(
@@ -118,7 +126,9 @@ def train(
         pool.goals = dict(facts["goals"])
         pool.league = written.until(done)
     # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
-    board = open_board(folder / "tensorboard", done * cfg.steps_per_generation + 1)
+    board = open_board(board_of(folder), done * cfg.steps_per_generation + 1)
+    if not done:
+        introduce(board, cfg)
     began = time.perf_counter() - seconds
     todo = range(done + 1, cfg.generations + 1)
     bar = tqdm(todo, desc="generation", initial=done, total=cfg.generations, file=sys.stderr, disable=None)

@@ -8,17 +8,22 @@
     python -m guidance.evaluate +preset=smoke                  seconds, to see that it runs
 
 Writes into its run folder: trials.csv (a row per person and condition), tests.csv (every t, F and post hoc),
-figure6.png and .svg, report.html, and manifest.json (configuration, seeds, models, versions).
+figure6.png and .svg, report.html, manifest.json (configuration, seeds, models, versions), and what TensorBoard reads.
 """
 
 import sys
 import time
 from pathlib import Path
 
+import numpy as np
+import pandas as pd
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
+from PIL import Image
+from torch.utils.tensorboard import SummaryWriter
 
+from airhockey_marl.board import board_of, conclude, introduce
 from airhockey_marl.building import build
 from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import replacing, write_json
@@ -26,9 +31,11 @@ from airhockey_marl.inference import steady
 from airhockey_marl.league import League
 from airhockey_marl.table import Table
 from guidance.games import Protocol
+from guidance.histograms import Histograms
 from guidance.models import Models
 from guidance.provenance import chosen_conditions, hashes_of, manifest
 from guidance.report import screen_table, write_report
+from guidance.stats import METRICS, compare_with_paper
 from guidance.study import NINE, balanced, run_study, williams
 from guidance.users import Population, load_mentors, sample_people
 from guidance.users.rating import RATINGS
@@ -57,7 +64,7 @@ def main(cfg: DictConfig) -> None:
         rows = len(williams(len(NINE)))
         print(f"note: the order of nine conditions is balanced over multiples of {rows} people", file=sys.stderr)
     torch.set_num_threads(cfg.threads)
-    progress = ProgressBar()
+    progress, histograms = ProgressBar(), Histograms(conditions, len(people), cfg.guidance.spring.limit)
     trials = run_study(
         people,
         conditions,
@@ -71,6 +78,7 @@ def main(cfg: DictConfig) -> None:
         OmegaConf.to_container(cfg.users.scales),
         seed=cfg.seed,
         progress=progress,
+        answered=histograms.add,
     )
     progress.close()
     folder = Path(HydraConfig.get().runtime.output_dir)
@@ -79,10 +87,30 @@ def main(cfg: DictConfig) -> None:
     command_line = " ".join(["python -m guidance.evaluate", *HydraConfig.get().overrides.task])
     facts = manifest(cfg, hashes_of(cfg, models), command_line, time.perf_counter() - began)
     write_json(folder / "manifest.json", facts)
-    write_report(trials, folder, facts)
+    tests = write_report(trials, folder, facts)
+    log_to_tensorboard(cfg, folder, trials, tests, histograms)
     print(screen_table(trials))
     print("" if facts["frozen"] else "\nNOT the frozen study: its configuration, models or seed differ; exploratory.")
     print(f"report: {folder / 'report.html'}")
+
+
+def log_to_tensorboard(
+    cfg: DictConfig, folder: Path, trials: pd.DataFrame, tests: pd.DataFrame, histograms: Histograms
+) -> None:
+    """Log a study that `write_report` has written to `folder`, in the words of `airhockey_marl.board`."""
+    means = trials.groupby("condition")[list(METRICS)].mean()
+    findings = compare_with_paper(tests, list(cfg.users.withdrawn))
+    findings = findings.loc[findings["paper"] == "significant", "outcome"]
+    with SummaryWriter(str(board_of(folder))) as writer:
+        introduce(writer, cfg)
+        for condition, row in means.iterrows():
+            for metric, mean in row.dropna().items():
+                writer.add_scalar(f"study/{metric}/{condition}", mean, 0)
+        histograms.log(writer)
+        with Image.open(folder / "figure6.png") as picture:
+            writer.add_image("figure/figure6", np.asarray(picture.convert("RGB")), 0, dataformats="HWC")
+        scores = {metric: means[metric].mean() for metric in ("win_rate", "mean_smash_speed", "defense_rate")}
+        conclude(writer, cfg, scores | {"replicated": float((findings == "replicated").sum())})
 
 
 if __name__ == "__main__":

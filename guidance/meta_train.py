@@ -20,9 +20,10 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
+from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from airhockey_marl.board import open_board
+from airhockey_marl.board import board_of, conclude, introduce, open_board
 from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import (
@@ -50,6 +51,7 @@ from guidance.users import Mentors, Population, load_mentors, sample_people, tra
 from guidance.users.reaction import check_variant
 
 STATE = "state.safetensors"
+JUDGE = "after_ua_loss"  # of the scores
 COMPILERS = ("g++", "clang++")  # that torch.compile looks for
 HELD_OUT_SEED = 1_000_003  # the card's people: neither the training users nor those of a study with a small seed
 
@@ -71,7 +73,8 @@ def check(cfg: DictConfig) -> None:
 
 
 @command("meta_train")
-def main(cfg: DictConfig) -> None:
+def main(cfg: DictConfig) -> float:
+    """Train both; for a sweeper, the loss of Eq. 3 after UA on people that the model has not seen."""
     with input_errors():
         if cfg.resume is not None:
             cfg = config_of(Path(cfg.resume), STATE)
@@ -119,6 +122,10 @@ def run(
     save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
     save_user_model(folder / "user.safetensors", user, facts)
     write_json(folder / "card.json", card(cfg, scores, seconds))
+    with SummaryWriter(str(board_of(folder) / "scores")) as board:
+        introduce(board, cfg)
+        conclude(board, cfg, scores)
+    return scores[JUDGE]
 
 
 def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, data: Demonstrations) -> float:
@@ -141,7 +148,7 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
     began = time.perf_counter() - seconds
     for name, train in (("maml", train_maml), ("supervised", train_supervised)):
         # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
-        board = open_board(folder / "tensorboard" / name, done[name] + 1)
+        board = open_board(board_of(folder) / name, done[name] + 1)
         training = train(models[name], data, **cfg[name], optimizer=optimizers[name], done=done[name])
         bar = tqdm(training, name, cfg[name].epochs, initial=done[name], unit="epoch", file=sys.stderr, disable=None)
         with stopping(f"{name} training", folder / STATE):

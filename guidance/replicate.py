@@ -2,6 +2,7 @@
 
     python -m guidance.replicate                       200 studies, and 3 x 50 under other assumptions
     python -m guidance.replicate n=20 sensitivity.points=0
+    python -m guidance.replicate ray=auto together=5   on all cores of a Ray cluster; ray=local: of this machine
     python -m guidance.replicate resume=outputs/...    go on with a run that was stopped, as if it had not been
 
 A study comes out the same to the last bit whichever others are played beside it. Each of the second kind draws its
@@ -16,10 +17,13 @@ and kind of study; robustness.png and .svg; replicate.html; manifest.json.
 
 import base64
 import time
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
+from importlib.util import find_spec
 from pathlib import Path
 
+import numba
 import numpy as np
 import pandas as pd
 import torch
@@ -54,6 +58,7 @@ from guidance.users.population import TRAITS
 from guidance.users.reaction import check_variant
 
 STATE = "manifest.json"  # written when a run begins
+HERE = "local"  # in place of a cluster's address: one that is started on this machine
 # groups of studies: that assume what the study assumes; that leave UA nothing to do; and by the name of their variant,
 # those under other assumptions
 AS_IT_IS, SWAPPED, ALIKE = "replicates", "swapped", "alike"
@@ -86,48 +91,103 @@ class Batch:
         return changed(usual, factors.loc[study])
 
 
+class Studies:
+    """All that the batches of a run rest on, from its configuration.
+
+    Raises:
+        ValueError: names the key, its value and what is allowed.
+    """
+
+    def __init__(self, cfg: DictConfig) -> None:
+        self.cfg = cfg
+        self.population: Population = build(cfg.users.population)
+        self.models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+        self.opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
+        self.mentors = load_mentors(cfg.users.mentors)
+        self.conditions, self.protocol = chosen_conditions(cfg), build(cfg.study)
+        self.factors = assumptions(cfg, self.population)
+
+    def play(self, batch: Batch, progress: Callable[[str, float], None] = lambda what, share: None) -> pd.DataFrame:
+        """The trials of a batch, with their group and study; no bit of them depends on where they are played."""
+        cfg = self.cfg
+        cohorts = []
+        for study in batch.studies:
+            drawn_from = batch.population(self.population, self.factors, study)
+            cohorts.append(Cohort(sample_people(cfg.participants, cfg.seed + study, drawn_from), cfg.seed + study))
+        scales = OmegaConf.to_container(cfg.users.scales)
+        how = (cfg.guidance.lookahead, self.protocol, Table(), batch.variant, self.mentors, scales, progress)
+        swapped = batch.group == SWAPPED
+        trials = run_studies(cohorts, self.conditions, self.models, self.opponent, *how, swapped=swapped)
+        return pd.concat([t.assign(group=batch.group, study=k) for k, t in zip(batch.studies, trials, strict=True)])
+
+
+def one_by_one(
+    studies: Studies, batches: Sequence[Batch], progress: Callable[[str, float], None]
+) -> Iterator[tuple[Batch, pd.DataFrame]]:
+    """Play the batches in this process, each on all cores."""
+    for i, batch in enumerate(batches):
+        yield batch, studies.play(batch, partial(_tell, progress, f"batch {i + 1} of {len(batches)}"))
+
+
+def on_ray(
+    cfg: DictConfig, batches: Sequence[Batch], progress: Callable[[str, float], None]
+) -> Iterator[tuple[Batch, pd.DataFrame]]:
+    """Play the batches on a Ray cluster, each as a task of one core, and yield them as they are done.
+
+    One that fails does not keep the others from being yielded; its error is raised when all are over.
+    """
+    import ray
+
+    if not ray.is_initialized():
+        ray.init(address=None if cfg.ray == HERE else cfg.ray, include_dashboard=False, log_to_driver=False)
+    task = ray.remote(num_cpus=1)(_play_alone)
+    plain = OmegaConf.to_container(cfg, resolve=True)
+    waiting, failure = {task.remote(plain, batch): batch for batch in batches}, None
+    while waiting:
+        (done,), _ = ray.wait(list(waiting))
+        batch = waiting.pop(done)
+        try:
+            yield batch, ray.get(done)
+        except ray.exceptions.RayError as error:
+            failure = failure or error
+        progress(f"{len(batches)} batches", 1 - len(waiting) / len(batches))
+    if failure is not None:
+        raise failure
+
+
+def _play_alone(cfg: dict, batch: Batch) -> pd.DataFrame:
+    """A batch on one core: the others have batches of their own."""
+    numba.config.NUMBA_NUM_THREADS = 1
+    torch.set_num_threads(1)
+    return Studies(OmegaConf.create(cfg)).play(batch)
+
+
 @command("replicate")
 def main(cfg: DictConfig) -> None:
     with input_errors():
         if cfg.resume is not None:
             cfg = config_of(Path(cfg.resume), STATE)
         check(cfg)
-        population: Population = build(cfg.users.population)
-        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
-        mentors = load_mentors(cfg.users.mentors)
-        conditions, protocol = chosen_conditions(cfg), build(cfg.study)
-        factors = assumptions(cfg, population)
+        studies = Studies(cfg)
     torch.set_num_threads(cfg.threads)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
     with locked(folder, "run"):
         command_line = " ".join(["python -m guidance.replicate", *HydraConfig.get().overrides.task])
-        facts = manifest(cfg, hashes_of(cfg, models), command_line, 0.0)
+        facts = manifest(cfg, hashes_of(cfg, studies.models), command_line, 0.0)
         facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
         write_json(folder / STATE, facts)
         with replacing(folder / "factors.csv") as temporary:
-            factors.to_csv(temporary, index_label="study")
+            studies.factors.to_csv(temporary, index_label="study")
 
         progress, began = ProgressBar(), time.perf_counter()
-        batches = batches_of(cfg)
-        scales = OmegaConf.to_container(cfg.users.scales)
-        for i, batch in enumerate(batches):
-            if (file := batch.file(folder)).is_file():
-                continue
-            populations = [batch.population(population, factors, study) for study in batch.studies]
-            cohorts = [
-                Cohort(sample_people(cfg.participants, cfg.seed + study, drawn_from), cfg.seed + study)
-                for study, drawn_from in zip(batch.studies, populations, strict=True)
-            ]
-            told = partial(_tell, progress, f"batch {i + 1} of {len(batches)}")
-            how = (cfg.guidance.lookahead, protocol, Table(), batch.variant, mentors, scales, told)
-            trials = run_studies(cohorts, conditions, models, opponent, *how, swapped=batch.group == SWAPPED)
-            numbered = [t.assign(group=batch.group, study=k) for k, t in zip(batch.studies, trials, strict=True)]
-            with replacing(file) as temporary:
-                pd.concat(numbered).to_csv(temporary, index=False)
+        missing = [batch for batch in batches_of(cfg) if not batch.file(folder).is_file()]
+        played = on_ray(cfg, missing, progress) if cfg.ray else one_by_one(studies, missing, progress)
+        for batch, trials in played:
+            with replacing(batch.file(folder)) as temporary:
+                trials.to_csv(temporary, index=False)
         progress.close()
         write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
-        print(summarise(folder, cfg, facts, factors))
+        print(summarise(folder, cfg, facts, studies.factors))
         print(f"\nreport: {folder / 'replicate.html'}")
 
 
@@ -144,6 +204,10 @@ def check(cfg: DictConfig) -> None:
     require_numbers(cfg, "sensitivity.largest", above=1.0)
     if not cfg.n and not (cfg.sensitivity.points and cfg.sensitivity.variants):
         raise InputError("n = 0 must be at least 1 where sensitivity.points is 0: there is nothing to do")
+    if cfg.ray is not None and not isinstance(cfg.ray, str):
+        raise InputError(f"ray = {cfg.ray} must be null, {HERE}, auto or the address of a cluster, host:port")
+    if cfg.ray is not None and find_spec("ray") is None:
+        raise InputError(f"ray = {cfg.ray} needs what `pip install 'airhockey-haptics[ray]'` brings: there is no ray")
     for variant in (cfg.users.variant, *cfg.sensitivity.variants):
         check_variant(variant)
 

@@ -16,7 +16,7 @@ import pandas as pd
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.cli import command, input_errors
+from airhockey_marl.cli import InputError, command, input_errors
 from airhockey_marl.files import found_below, replacing, sha256, write_text
 from airhockey_marl.page import template
 from guidance.answers import QUESTIONS, answers
@@ -91,13 +91,19 @@ def screen_table(trials: pd.DataFrame, people: bool = False) -> str:
     return "\n".join(lines)
 
 
-def merge(folders: Iterable[str | Path]) -> pd.DataFrame:
+def merge(folders: Iterable[str | Path], mixed: bool = False) -> pd.DataFrame:
     """Concatenate every trials.csv at or below the given files, folders or glob patterns.
+
+    Simulated people of other seeds or studies are other people: where there are several, `user` says which, as in
+    "S01 of 2022", or "S01 of 2022 in 1a2b3c4d" by the first digits of the study's hash.
+
+    Args:
+        mixed: allow runs of different studies.
 
     Raises:
         ValueError: nothing found, an unreadable or empty file, a participant's game in a condition that occurs twice
-            with the same seed, or runs whose manifest.json tell of different studies (`study_hash`), or some of people
-            and some not.
+            with the same seed, or runs whose manifest.json tell of different studies (`study_hash`) unless `mixed`, or
+            some of people and some not.
     """
     files = found_below(folders, TRIALS)
     studies: dict[str, list[str]] = {}
@@ -105,17 +111,29 @@ def merge(folders: Iterable[str | Path]) -> pd.DataFrame:
     for file, manifest in zip(files, manifests, strict=True):
         if "study_hash" in manifest:
             studies.setdefault(manifest["study_hash"], []).append(str(file.parent))
-    if len(studies) > 1:
+    if len(studies) > 1 and not mixed:
         named = "; ".join(f"{study}: {', '.join(places)}" for study, places in studies.items())
-        raise ValueError(f"these runs are of different studies and cannot be merged: {named}")
-    if len({of_people(manifest) for manifest in manifests}) > 1:
+        raise ValueError(f"these runs are of different studies and cannot be merged, unless mixed=true: {named}")
+    if len(kinds := {of_people(manifest) for manifest in manifests}) > 1:
         raise ValueError("people and simulated people cannot be merged: name one of them as beside")
-    trials = pd.concat([_read(file) for file in files], ignore_index=True)
-    key = ["user", "condition", "seed"]
-    if (repeated := trials[trials.duplicated(key)][key].drop_duplicates()).size:
-        named = ", ".join(f"{row.user} {row.condition} (seed {row.seed})" for row in repeated.itertuples())
-        raise ValueError(f"the same game more than once: {named}")
-    return trials
+    tables = [
+        _read(file).assign(study=manifest.get("study_hash", ""), place=str(file))
+        for file, manifest in zip(files, manifests, strict=True)
+    ]
+    trials = pd.concat(tables, ignore_index=True)
+    key = ["user", "condition", "seed", *(["study"] if mixed else [])]
+    if (repeated := trials[trials.duplicated(key, keep=False)]).size:
+        games = (
+            repeated.groupby(key, sort=False)["place"].agg(lambda places: " and ".join(sorted(places))).reset_index()
+        )
+        named = ", ".join(f"{row.user} {row.condition} (seed {row.seed})" for row in games.itertuples())
+        raise ValueError(f"the same game more than once, in {'; '.join(games['place'].unique())}: {named}")
+    if kinds == {False}:
+        if trials["seed"].nunique() > 1:
+            trials["user"] += " of " + trials["seed"].astype("str")
+        if trials["study"].nunique() > 1:
+            trials["user"] += " in " + trials["study"].str[:8]
+    return trials.drop(columns=["study", "place"])
 
 
 def _read(file: Path) -> pd.DataFrame:
@@ -278,7 +296,7 @@ def _p(value: float) -> str:
     return "<.001" if value < 0.001 else "1" if value >= 0.9995 else f"{value:.3f}"[1:]
 
 
-def gather(places: Iterable[str | Path]) -> Group:
+def gather(places: Iterable[str | Path], mixed: bool = False) -> Group:
     """The trials at or below these places, see `merge`, with their manifests and the hashes of their files.
 
     Raises:
@@ -287,7 +305,9 @@ def gather(places: Iterable[str | Path]) -> Group:
     files = found_below(places, TRIALS)
     manifests = {str(file.parent): _manifest(file) for file in files}
     manifest = next(iter(manifests.values())) if len(files) == 1 else {"runs": manifests}
-    group = Group(merge(files), manifest | {"trials_sha256": {str(file): sha256(file) for file in files}})
+    if len({one.get("study_hash") for one in manifests.values()}) > 1:
+        manifest |= {"frozen": False}  # of several studies, no more than one can be the frozen one
+    group = Group(merge(files, mixed), manifest | {"trials_sha256": {str(file): sha256(file) for file in files}})
     check_trials(group.trials, group.people)
     return group
 
@@ -305,9 +325,11 @@ def main(cfg: DictConfig) -> None:
     """Gather the runs, write their report, and say on the screen where it is."""
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
     with input_errors():
-        group = gather(_places(cfg.runs))
+        if not isinstance(cfg.mixed, bool):
+            raise InputError(f"mixed = {cfg.mixed} must be true or false")
+        group = gather(_places(cfg.runs), cfg.mixed)
         try:
-            beside = None if cfg.beside is None else gather(_places(cfg.beside))
+            beside = None if cfg.beside is None else gather(_places(cfg.beside), cfg.mixed)
         except ValueError as error:
             raise ValueError(f"beside: {error}") from error
         if beside and (same := set(_files(group).values()) & set(_files(beside).values())):

@@ -15,7 +15,7 @@ import torch
 
 from airhockey_marl.match import Player
 from airhockey_marl.table import Table
-from guidance.conditions import Condition
+from guidance.conditions import Condition, Guided
 from guidance.games import Forces, Protocol, no_force, play_games, streams
 from guidance.guide import Guide
 from guidance.models import Models
@@ -84,12 +84,14 @@ def run_studies(
     rating_scales: dict[str, float],
     progress: Callable[[str, float], None] = lambda what, share: None,
     swapped: bool = False,
+    answered: Callable[[Guided, np.ndarray], None] = lambda guided, games: None,
 ) -> list[pd.DataFrame]:
     """Put simulated people through the whole protocol, all studies side by side.
 
     Args:
         progress: is told what is going on, and the share of it that is done.
         swapped: for UA, everybody's game is taken for somebody else's: a negative control.
+        answered: is shown every answer to the games (k,), which are ordered condition by condition, as in `Guide`.
 
     Returns:
         Per study one row per user and condition: the columns of `trials.csv`.
@@ -114,7 +116,13 @@ def run_studies(
             adapted = adapted[_neighbours([len(cohort.people) for cohort in cohorts])]
 
     guide = Guide(conditions, len(people), models, adapted, lookahead_seconds)
-    participants, games = games_of([ascii_lowercase.index(c.letter) for c in conditions], guide, "games")
+
+    def forces(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> Guided:
+        guided = guide(state, action, games)
+        answered(guided, games)
+        return guided
+
+    participants, games = games_of([ascii_lowercase.index(c.letter) for c in conditions], forces, "games")
     columns = {
         **games.results,
         **participants.ratings(rating_scales),

@@ -107,7 +107,8 @@ def test_the_card_tells_where_it_comes_from_and_how_to_open_it(folder, monkeypat
 
 def test_no_file_is_a_pickle_and_none_is_left_over(folder):
     files = {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
-    assert {name for name in files if not name.startswith((".hydra/", "collect.log"))} == DATA | {"card.json"}
+    of_every_run = (".hydra/", "collect.log", "run.json")
+    assert {name for name in files if not name.startswith(of_every_run)} == DATA | {"card.json"}
     assert not list(folder.glob(".demonstrations*"))
     for name, size in (("observation", 12 * 4), ("action", 2 * 4), ("user", 8), ("game", 8)):  # raw, nothing else
         assert (folder / f"demonstrations/{name}.memmap").stat().st_size == 9 * GAMES * TICKS * size

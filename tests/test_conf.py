@@ -39,6 +39,18 @@ def test_every_choice_of_a_group_composes(group):
             assert compose(command, overrides=[f"{group}={path.stem}"])[group] is not None
 
 
+def test_beginners_are_the_same_people_with_less_skill():
+    usual, novice = (compose_evaluate(f"users={users}").users for users in ("default", "novice"))
+    assert novice.population.skill_mean == -1.5
+    novice.population.skill_mean = usual.population.skill_mean
+    assert OmegaConf.to_container(novice) == OmegaConf.to_container(usual)
+
+
+def compose_evaluate(*overrides: str):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        return compose("evaluate", overrides=list(overrides))
+
+
 @pytest.mark.parametrize("name", PRIMARY)
 def test_every_key_of_a_primary_yaml_is_explained_above_it(name):
     lines = (CONF / f"{name}.yaml").read_text(encoding="utf-8").splitlines()

@@ -24,6 +24,7 @@ COMMANDS = {
             "calibrate",
             "evaluate",
             "replicate",
+            "runs",
             "play",
             "lab",
         )

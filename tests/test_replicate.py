@@ -91,6 +91,18 @@ def test_a_killed_run_ends_like_one_never_killed(tmp_path, monkeypatch):
         assert (tmp_path / "other" / name).read_bytes() == expected[name]
 
 
+def test_a_ray_cluster_gives_the_same_bits(tmp_path, monkeypatch):
+    pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # or Ray writes a token into the home folder
+    few = ["sensitivity.points=0", "together=2"]
+    for name, more in (("here", []), ("there", ["ray=local"])):
+        smoke("guidance.replicate", *few, *more, f"hydra.run.dir={tmp_path}/{name}")
+    written = [file.relative_to(tmp_path / "here") for file in (tmp_path / "here").glob("**/*.csv")]
+    assert len(written) == 4 + len(RESULTS)
+    for file in written:
+        assert (tmp_path / "here" / file).read_bytes() == (tmp_path / "there" / file).read_bytes(), file
+
+
 @pytest.mark.parametrize(
     ("argument", "message"),
     [
@@ -99,6 +111,7 @@ def test_a_killed_run_ends_like_one_never_killed(tmp_path, monkeypatch):
         ("sensitivity.variants=[V7]", "users.variant = 'V7' must be one of V0, V1, V2"),
         ("sensitivity.parameters=[courage]", "courage is not a parameter of people"),
         ("n=0 sensitivity.points=0", "n = 0 must be at least 1 where sensitivity.points is 0"),
+        ("ray=3", "ray = 3 must be null, local, auto or the address of a cluster"),
         ("resume=nowhere", "resume = nowhere is not the folder of a run that can go on"),
     ],
 )

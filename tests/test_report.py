@@ -20,7 +20,7 @@ from airhockey_marl.files import found_below
 from guidance.answers import answers
 from guidance.figures import COLOURS, confidence_half_width, figure6, means_beside
 from guidance.groups import Group, side_by_side
-from guidance.report import merge, screen_table, write_report
+from guidance.report import gather, merge, screen_table, write_report
 from guidance.stats import CONDITIONS, METRICS, check_trials, compare_with_paper, published, run_tests, summary
 
 WEIGHTS = {"w_unc_optimal": "ci", "w_unc_user": "fi", "w_sim": "hi"}
@@ -281,8 +281,9 @@ def test_merge_refuses_the_same_game_twice(sweep, trials):
     again = sweep / "again"
     again.mkdir()
     trials[trials["condition"] == "uphg"].head(2).to_csv(again / "trials.csv", index=False)
-    with pytest.raises(ValueError, match=r"S01 uphg \(seed 1\), S02 uphg \(seed 1\)$"):
+    with pytest.raises(ValueError, match=r"S01 uphg \(seed 1\), S02 uphg \(seed 1\)$") as refusal:
         merge([sweep])
+    assert str(sweep / "condition=uphg[0]" / "trials.csv") in str(refusal.value) and str(again) in str(refusal.value)
 
 
 def test_merge_refuses_different_studies(sweep):
@@ -293,6 +294,23 @@ def test_merge_refuses_different_studies(sweep):
     assert "1234" in str(refusal.value) and "5678" in str(refusal.value)
     manifest.unlink()  # a run without a manifest is tolerated
     assert len(merge([sweep])) == 60
+
+
+def test_people_of_other_seeds_and_studies_are_other_people(sweep, trials):
+    file = sweep / "condition=uphg[0]"
+    other = sweep / "other"
+    other.mkdir()
+    shutil.copy(file / "manifest.json", other)
+    pd.read_csv(file / "trials.csv").assign(seed=2).to_csv(other / "trials.csv", index=False)
+    assert {"S01 of 1", "S01 of 2"} < set(merge([sweep])["user"])
+    (other / "manifest.json").write_text(json.dumps({"study_hash": "567890abcdef"}))
+    pd.read_csv(file / "trials.csv").to_csv(other / "trials.csv", index=False)
+    with pytest.raises(ValueError, match="different studies"):
+        merge([sweep])
+    merged = merge([sweep], mixed=True)
+    assert {"S01 in 1234", "S01 in 567890ab"} < set(merged["user"]) and len(merged) == 80
+    both = gather([file, other], mixed=True)
+    assert both.size == 40 and both.manifest["frozen"] is False
 
 
 @pytest.mark.parametrize(
