@@ -8,7 +8,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[1]
 MODULES = sorted(path for package in ("airhockey_marl", "guidance") for path in (ROOT / package).rglob("*.py"))
 LEAVES = {
-    "airhockey_marl": {"table", "policy", "trpo", "samplers", "learner", "files", "cli"},
+    "airhockey_marl": {"table", "policy", "trpo", "samplers", "learner", "files"},
     "guidance": {"maml", "forces", "metrics", "stats", "safety", "clock"},
 }
 COMMANDS = {
