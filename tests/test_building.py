@@ -80,6 +80,7 @@ def test_every_target_of_conf_may_be_made_and_no_class_is_allowed_in_vain():
     named = {
         line.split("_target_:")[1].split()[0]
         for path in CONF.rglob("*.yaml")
+        if path.relative_to(CONF).parts[0] not in ("hydra", "sweep")  # which Hydra makes, not we
         for line in path.read_text(encoding="utf-8").splitlines()
         if "_target_:" in line
     }
