@@ -19,7 +19,7 @@ from airhockey_marl.inference import steady
 from airhockey_marl.league import League
 from airhockey_marl.table import Table
 from airhockey_marl.tables import Tables
-from guidance import collect, dataset, demonstrations
+from guidance import collect, dataset, demonstrations, games
 from guidance.users import Population, load_mentors, sample_people, training_people
 
 GAMES, TICKS = 2, 300
@@ -139,7 +139,7 @@ def test_the_summary_counts_the_goals_that_fell(monkeypatch):
             super().step(actions, ticks)
             goals.append(self.goals.copy())
 
-    monkeypatch.setattr(demonstrations, "Tables", Watched)
+    monkeypatch.setattr(games, "Tables", Watched)
     ticks = 1500
     data = play(training_people(0, population()), 0, ticks)
     fell = np.array(goals[:-1]).reshape(ticks - 1, 9, GAMES)  # nobody sees what the last tick brought
