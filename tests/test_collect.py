@@ -135,8 +135,8 @@ def test_the_summary_counts_the_goals_that_fell(monkeypatch):
     goals = []
 
     class Watched(Tables):
-        def step(self, actions, ticks=1):
-            super().step(actions, ticks)
+        def step(self, actions, ticks=1, rows=None):
+            super().step(actions, ticks, rows)
             goals.append(self.goals.copy())
 
     monkeypatch.setattr(games, "Tables", Watched)
