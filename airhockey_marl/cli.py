@@ -12,7 +12,6 @@ from pathlib import Path
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
-from hydra.core.plugins import Plugins
 from hydra.core.utils import env_override
 from hydra.errors import HydraException, InstantiationException
 from hydra.types import RunMode
@@ -24,6 +23,7 @@ from yaml import YAMLError
 from airhockey_marl.files import UNWRITABLE, Unwritten
 
 ROOT = Path(__file__).resolve().parents[1]
+LAUNCHERS = ROOT / "airhockey_marl" / "launchers"
 CONF = ROOT / "conf"  # absolute: a relative path means something else under a console script
 # What a choice of Hydra's own groups needs, and the extra that brings it.
 JOBLIB = ("hydra_plugins.hydra_joblib_launcher", "joblib")
@@ -298,11 +298,9 @@ def _is_there(module: str) -> bool:
 
 
 def _register_plugins(arguments: Sequence[str]) -> None:
-    """Tell Hydra of our own launcher: of itself it looks only below a folder `hydra_plugins`."""
-    if RAY in {argument.lstrip("+") for argument in arguments}:
-        from airhockey_marl.ray_launcher import RayLauncher
-
-        Plugins.instance().register(RayLauncher)
+    """Have Hydra find our own launcher: it looks below folders `hydra_plugins` of the search path, nowhere else."""
+    if RAY in {argument.lstrip("+") for argument in arguments} and str(LAUNCHERS) not in sys.path:
+        sys.path.append(str(LAUNCHERS))
 
 
 def _trouble(error: Exception) -> str | None:

@@ -26,7 +26,7 @@ def kept(run: Path) -> dict[str, object]:
     found: dict[str, object] = {}
     for file in sorted(path for path in run.rglob("*") if path.is_file()):
         name = str(file.relative_to(run))
-        if name.startswith((".hydra", ".lock")) or file.suffix == ".log":
+        if name.startswith((".hydra", ".lock", "run.json")) or file.suffix == ".log":
             continue
         if file.suffix == ".safetensors":
             tensors, facts = load_tensors(file)

@@ -3,10 +3,11 @@
 The maintained pieces of it are Hydra's `run_job` and Ray itself; what is here only hands the one to the other.
 hydra-ray-launcher 1.2.2 does the same, but holds every environment to cloudpickle 2 and brings the SDK of AWS.
 
-A command that is asked for it tells Hydra of it (see `cli`), which of itself looks only below a folder `hydra_plugins`.
+Hydra finds plugins below folders `hydra_plugins` alone; a command that is asked for this one shows the way, see `cli`.
 """
 
 import logging
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -49,6 +50,7 @@ class RayLauncher(Launcher):
         sweep.mkdir(parents=True, exist_ok=True)
         if not ray.is_initialized():
             ray.init(**self.init)
+        ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers do not know the way here
         task = ray.remote(**self.remote)(_run)
         waiting = []
         for number, overrides in enumerate(job_overrides, initial_job_idx):
