@@ -57,6 +57,7 @@ def ends_alike(tmp_path: Path, case: list[str], kills: int, seed: int) -> tuple[
     return tuple(map(int, done.stdout.split()[-2:]))
 
 
+@pytest.mark.slow
 def test_a_replication_that_was_killed_goes_on(tmp_path):
     """That a training does, is in `test_cli`."""
     ends_alike(tmp_path, [*REPLICATE, "n=2", "controls=0"], kills=1, seed=1)

@@ -56,6 +56,7 @@ def test_joblib_runs_them_side_by_side(one_after_another, tmp_path):
     assert len(pids) == 2
 
 
+@pytest.mark.slow
 def test_submitit_runs_each_in_a_process_of_its_own(one_after_another, tmp_path):
     pytest.importorskip("submitit")
     done = sweep(tmp_path, SEEDS, "hydra/launcher=slurm_here")
@@ -75,6 +76,7 @@ def test_a_ray_cluster_runs_them(one_after_another, tmp_path, monkeypatch):
     check_sweep(tmp_path, done, one_after_another)
 
 
+@pytest.mark.slow
 def test_what_a_sweep_left_is_merged_where_it_is_of_one_study(tmp_path):
     done = sweep(tmp_path / "s", "users=default,novice", "seed=range(1,3)", "hydra/launcher=cores")
     assert done.returncode == 0, done.stderr
