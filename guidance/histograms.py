@@ -38,7 +38,8 @@ class Histograms:
         sums = self.sums.setdefault(name, np.zeros((n, 2)))
         has = np.isfinite(values)  # a condition without this weight has none
         values, which = values[has], which[has]
-        bins = np.clip((values * (BINS / largest)).astype(np.int64), 0, BINS - 1)
+        share = values / largest if largest > 0 else np.zeros_like(values)  # a spring that is clipped to nothing
+        bins = np.clip((share * BINS).astype(np.int64), 0, BINS - 1)
         counts += np.bincount(which * BINS + bins, minlength=n * BINS).reshape(n, BINS)
         for power in (1, 2):
             sums[:, power - 1] += np.bincount(which, values**power, minlength=n)

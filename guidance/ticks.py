@@ -163,10 +163,6 @@ class TickLog:
         rows, self.rows = self.rows, []
         return rows
 
-    def table(self) -> pd.DataFrame:
-        """The rows so far."""
-        return pd.DataFrame(self.rows, columns=list(COLUMNS))
-
 
 def read_ticks(file: Path | str) -> pd.DataFrame:
     """The table of a game that was recorded.

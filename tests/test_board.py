@@ -118,3 +118,15 @@ def test_histograms_count_every_answer_once(tmp_path):
     assert set(events.Tags()["histograms"]) == {"force/one", "force/other", "w_sim/other"}
     value = events.Histograms("w_sim/other")[0].histogram_value
     assert value.num == 1 and value.min <= 0.25 <= value.max
+
+
+def test_a_spring_that_is_clipped_to_nothing_has_a_histogram_too(tmp_path):
+    class Named:
+        name = "one"
+
+    counts = Histograms([Named()], 2, largest_force=0.0)
+    counts.add(Guided(torch.zeros(2, 2, dtype=torch.float64)), np.array([0, 1]))
+    with SummaryWriter(str(tmp_path)) as writer:
+        counts.log(writer)
+    value = EventAccumulator(str(tmp_path)).Reload().Histograms("force/one")[0].histogram_value
+    assert value.num == 2 and value.min == value.max == 0.0

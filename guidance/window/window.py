@@ -16,6 +16,7 @@ from guidance.window.arena import Arena
 from guidance.window.pages import Items, Page
 from guidance.window.paint import forget, letters, veil, write
 
+HINT = "h help   space pause   esc leave"  # at the foot
 BAR, FOOT, EDGE = 54, 54, 16  # px
 NARROWEST = 800  # px: there, the longest texts still fit
 FADED = (90, 96, 104)
@@ -267,12 +268,7 @@ class Window:
             for share, colour in ((1.0, GREY), (weight, FORCE)):
                 pygame.draw.rect(self.surface, colour, (left, line - 6, 70 * share, 12))
             left += 70 + EDGE
-        hint = "   ".join(f"{key} {what}" for key, what in self.hints().items())
-        write(self.surface, hint, (self.size[0] - EDGE, line), 14, FADED, anchor="midright")
-
-    def hints(self) -> dict[str, str]:
-        """The keys that the foot reminds of."""
-        return {"h": "help", "space": "pause", "esc": "leave"}
+        write(self.surface, HINT, (self.size[0] - EDGE, line), 14, FADED, anchor="midright")
 
     def _draw_note(self, note: str) -> None:
         room = self.size[0] - 4 * EDGE
