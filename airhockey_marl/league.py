@@ -2,6 +2,7 @@
 
 import copy
 import hashlib
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
@@ -69,7 +70,8 @@ class League:
         if unknown:
             raise ValueError(f"anchor = {unknown[0]!r} must be one of {', '.join(ANCHORS)}")
         generations = [self.generation(member) for member in members if not isinstance(member, str)]
-        return Lineup(self.policy, torch.stack(generations) if generations else None, members)
+        weights = torch.stack(generations).flatten_keys(".").contiguous().to_dict() if generations else None
+        return Lineup(self.policy, weights, members)
 
     def stacked(self) -> dict[str, Tensor]:
         """All weights by name, (generations, ...) each: what a league's file holds."""
@@ -156,16 +158,31 @@ def weights_hash(weights: TensorDict) -> str:
 class Lineup(nn.Module):
     """k members that share n tables, n / k each: the generations in one batched forward pass, the anchors by script.
 
+    Args:
+        weights: of the generations among the members, (generations, ...) by name, in the order of the members.
+
     Attributes:
         members: (k,) who they are; table i is the seat of `members[i * k // n]`.
     """
 
-    def __init__(self, policy: GaussianPolicy, weights: TensorDict | None, members: Sequence[Member]) -> None:
+    def __init__(self, policy: GaussianPolicy, weights: Mapping[str, Tensor] | None, members: Sequence[Member]) -> None:
         super().__init__()
-        self.policy, self.members = policy, list(members)
-        self.weights = None if weights is None else weights.flatten_keys(".").contiguous().to_dict()
+        self.policy, self.weights, self.members = policy, weights, list(members)
         self.scripted = {place: ANCHORS[member] for place, member in enumerate(members) if isinstance(member, str)}
         self.learned = [place for place in range(len(members)) if place not in self.scripted]
+
+    def part(self, first: int, last: int, of: int) -> "Lineup":
+        """The line-up that sits at tables `first` to before `last`, where this one sits at `of` tables.
+
+        A member of whose tables only some are among them is there with these; one with many may be named repeatedly.
+        """
+        each = of // len(self.members)
+        block = math.gcd(each, first, last)  # tables that surely have the same member
+        places = [table // each for table in range(first, last, block)]
+        row_of = {place: row for row, place in enumerate(self.learned)}
+        rows = [row_of[place] for place in places if place in row_of]
+        weights = {name: tensor[rows] for name, tensor in self.weights.items()} if rows else None
+        return Lineup(self.policy, weights, [self.members[place] for place in places])
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""

@@ -1,5 +1,7 @@
 """Two policies at one table, as TorchRL's collectors see them: who acts where, and what the learner lived through."""
 
+from dataclasses import dataclass
+
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
@@ -10,9 +12,18 @@ from airhockey_marl.shaping import Shaping
 LEARNER, OPPONENT = "left", "right"  # seats are alike, so the learner always takes the left one
 
 
-def actor(seat: str, policy: nn.Module) -> TensorDictModule:
-    """Let a policy act in a seat, sampling from its Gaussian."""
-    return TensorDictModule(Sampling(policy), in_keys=[(seat, "observation")], out_keys=[(seat, "action")])
+@dataclass(frozen=True)
+class Share:
+    """Of all tables, numbered from 0 to `of`, those from `first` to before `last`."""
+
+    first: int
+    last: int
+    of: int
+
+
+def actor(seat: str, policy: nn.Module, share: Share | None = None) -> TensorDictModule:
+    """Let a policy act in a seat, sampling from its Gaussian; `share` says at which of all tables, see `Sampling`."""
+    return TensorDictModule(Sampling(policy, share), in_keys=[(seat, "observation")], out_keys=[(seat, "action")])
 
 
 class Sampling(nn.Module):
@@ -20,15 +31,22 @@ class Sampling(nn.Module):
 
     A whole `ProbabilisticActor` would be slower: no algorithm here needs the log-probabilities of the moment, each
     works them out for a batch at a time.
+
+    Args:
+        share: draw for all tables and use what falls to these, so that a table's noise does not depend on who plays
+            the others; None if these are all.
     """
 
-    def __init__(self, policy: nn.Module) -> None:
+    def __init__(self, policy: nn.Module, share: Share | None = None) -> None:
         super().__init__()
-        self.policy = policy
+        self.policy, self.share = policy, share
 
     def forward(self, observation: torch.Tensor) -> torch.Tensor:
         mean, std = self.policy(observation)
-        return mean + std * torch.randn_like(mean)
+        if self.share is None:
+            return mean + std * torch.randn_like(mean)
+        noise = torch.randn(self.share.of, *mean.shape[1:], dtype=mean.dtype)
+        return mean + std * noise[self.share.first : self.share.last]
 
 
 class Seat(nn.Module):

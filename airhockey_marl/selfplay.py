@@ -1,43 +1,34 @@
-"""Where collector, algorithm and league meet: a learner plays a line-up of opponents, generation after generation."""
+"""Where play, algorithm and league meet: a learner plays a line-up of opponents, generation after generation."""
 
 from collections.abc import Sequence
 
 import numpy as np
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictSequential
-from torchrl.collectors import Collector
-from torchrl.envs import EnvBase
 
+from airhockey_marl.collecting import Crew
 from airhockey_marl.guards import require_finite_parts, require_sound
 from airhockey_marl.league import League, Lineup, Member
 from airhockey_marl.learner import Learner
 from airhockey_marl.match import Result, play_matches, sampled
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.samplers import Sampler, Standing
-from airhockey_marl.seats import LEARNER, OPPONENT, Seat, actor, learner_view
+from airhockey_marl.seats import LEARNER, learner_view
 from airhockey_marl.shaping import Shaping
 
 
 class Practice:
-    """The tables at which one policy learns; the learner sits at the left of each, a line-up at the right.
+    """One policy's learning: the learner sits at the left of each table, a line-up at the right.
 
     Args:
-        batch: steps per update, over all tables.
+        crew: who plays the tables.
+        policy: learns, on its own device; the tables are played on CPUs.
         gamma: discount per decision, for the shaping.
     """
 
-    def __init__(self, env: EnvBase, policy: GaussianPolicy, batch: int, shaping: Shaping, gamma: float) -> None:
-        self.batch, self.shaping, self.gamma = batch, shaping, gamma
-        self.policy, self.seat = policy, Seat(policy)
-        self.collector = Collector(
-            env,
-            TensorDictSequential(actor(LEARNER, policy), actor(OPPONENT, self.seat)),
-            frames_per_batch=batch,
-            total_frames=-1,
-            auto_register_policy_transforms=False,
-        )
-        self.batches = iter(self.collector)
+    def __init__(self, crew: Crew, policy: GaussianPolicy, shaping: Shaping, gamma: float) -> None:
+        self.crew, self.policy, self.shaping, self.gamma = crew, policy, shaping, gamma
+        self.device = next(policy.parameters()).device
 
     def generation(
         self, learner: Learner, opponents: Lineup, steps: int, strength: float
@@ -50,22 +41,18 @@ class Practice:
         Raises:
             FloatingPointError: learning has gone wrong for good, see `guards`.
         """
-        self.seat.policy = opponents
-        self.collector.reset()  # a generation depends on nothing but the league, the learner and the random numbers
+        self.crew.begin(opponents)  # a generation depends on nothing but the league, the learner, the random numbers
         history, goals = [], np.zeros((len(opponents.members), 2), dtype=np.int64)
-        for _ in range(steps // self.batch):
+        for _ in range(steps // self.crew.batch):
             with torch.no_grad():
-                play = next(self.batches)
+                play = self.crew.play({name: tensor.cpu() for name, tensor in self.policy.state_dict().items()})
                 goals += goals_of(play, len(opponents.members))
                 view = learner_view(play, self.shaping, strength, self.gamma)
-            history.append(learner.update(view))
+            history.append(learner.update(view.to(self.device)))
             require_sound(history[-1])
+        self.crew.end()
         require_finite_parts({"policy": self.policy, **learner.parts()})
         return {name: float(np.mean([metrics[name] for metrics in history])) for name in history[0]}, goals
-
-    def close(self) -> None:
-        """Stop the collector."""
-        self.collector.shutdown()
 
 
 def goals_of(play: TensorDictBase, members: int) -> np.ndarray:

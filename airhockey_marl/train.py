@@ -3,6 +3,7 @@
     python -m airhockey_marl.train                     the paper's 100 generations x 200 K steps
     python -m airhockey_marl.train +preset=smoke       seconds, to see that it runs
     python -m airhockey_marl.train -m seed=0,1,2       three seeds, one after another
+    python -m airhockey_marl.train collector=multisync collector.workers=4    play collected by four processes
     python -m airhockey_marl.train resume=outputs/...  go on with a run that was stopped, as if it had not been
     tensorboard --logdir outputs                       watch
 
@@ -14,6 +15,7 @@ TensorBoard's scalars end bit for bit as those of a run that was never stopped (
 
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import numpy as np
@@ -22,7 +24,6 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch.utils.tensorboard import SummaryWriter
-from torchrl.envs import EnvBase
 from tqdm import tqdm
 
 from airhockey_marl.anchors import ANCHORS
@@ -30,11 +31,11 @@ from airhockey_marl.board import board_of, conclude, introduce, open_board
 from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import InputError, command, config_of, input_errors, require_counts, require_numbers
-from airhockey_marl.env import make_env, serve_streams
+from airhockey_marl.collecting import Collecting, Crew
 from airhockey_marl.files import write_json, write_text
 from airhockey_marl.guards import stopping
 from airhockey_marl.league import League, Member
-from airhockey_marl.learner import Algorithm
+from airhockey_marl.learner import Algorithm, Learner
 from airhockey_marl.lock import locked
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.samplers import Sampler
@@ -78,14 +79,16 @@ def main(cfg: DictConfig) -> float:
         if cfg.resume is not None:
             cfg = config_of(Path(cfg.resume), STATE)
         check(cfg)
+        torch.set_num_threads(cfg.threads)
         torch.manual_seed(cfg.seed)
         policy = GaussianPolicy(cfg.hidden, cfg.inputs)
         algorithm: Algorithm = build(cfg.algorithm)
         sampler: Sampler = build(cfg.league.sampler)
-        env = make_env(cfg.env.backend, cfg.env.tables, cfg.env.round_seconds, cfg.env.decision_ticks, cfg.seed)
+        learner = algorithm.learner(policy, cfg.gamma)
+        crew = Crew(Collecting(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    with locked(folder, "run"):
-        league, seconds = train(cfg, folder, env, policy, algorithm, sampler)
+    with closing(crew), locked(folder, "run"):
+        league, seconds = train(cfg, folder, policy, learner, crew, sampler)
         made_by = " ".join(["python -m airhockey_marl.train", *HydraConfig.get().overrides.task])
         facts = card(cfg, league)
         write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **facts})
@@ -96,23 +99,22 @@ def main(cfg: DictConfig) -> float:
 
 
 def train(
-    cfg: DictConfig, folder: Path, env: EnvBase, policy: GaussianPolicy, algorithm: Algorithm, sampler: Sampler
+    cfg: DictConfig, folder: Path, policy: GaussianPolicy, learner: Learner, crew: Crew, sampler: Sampler
 ) -> tuple[League, float]:
     """Run the league: generation after generation learns against those before it, is frozen and written to `folder`.
 
     Args:
         cfg: what `check` has passed; with `resume`, it goes on after the last generation that `folder` holds.
-        env: the tables; the learner sits at the left of each.
-        policy: generation 0, trained in place.
+        policy: generation 0, trained in place by `learner`.
+        crew: plays the tables; the policy sits at the left of each.
+        sampler: chooses whom it meets.
 
     Returns:
         The league, and the seconds it took, before it was resumed and after.
     """
-    torch.set_num_threads(cfg.threads)
-    learner = algorithm.learner(policy, cfg.gamma)
-    checkpoint = Checkpoint({"policy": policy, **learner.parts()}, np.random.default_rng(cfg.seed), serve_streams(env))
+    checkpoint = Checkpoint({"policy": policy, **learner.parts()}, np.random.default_rng(cfg.seed), [crew.streams])
     shaping = Shaping(cfg.shaping.position, cfg.shaping.velocity, cfg.shaping.shot, cfg.shaping.approach)
-    practice = Practice(env, policy, cfg.batch, shaping, cfg.gamma)
+    practice = Practice(crew, policy, shaping, cfg.gamma)
     pool = Pool(League(GaussianPolicy(cfg.hidden, cfg.inputs)), cfg.league.anchors, sampler, cfg.league.memory)
     pool.league.add(policy)
     done, matches, seconds = 0, [], 0.0
@@ -163,7 +165,6 @@ def train(
         facts = {"generation": generation, "matches": matches, "goals": list(pool.goals.items()), "seconds": seconds}
         checkpoint.save(folder / STATE, facts)
         bar.set_postfix({name: f"{rates[name]:.2f}" for name in ("0", *ANCHORS)})
-    practice.close()
     board.close()
     return pool.league, time.perf_counter() - began
 

@@ -95,10 +95,10 @@ def test_train_learns_from_pettingzoo_what_it_learns_from_the_batch(trained, tmp
     assert first["hashes"] == second["hashes"]
 
 
-@pytest.mark.parametrize("env", ["batched", "pettingzoo"])
-def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, env):
+@pytest.mark.parametrize("how", ["env=batched", "env=pettingzoo", "collector=multisync"])
+def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, how):
     """SIGKILL as soon as the first generation is behind it; the league and the card's scores are then the same."""
-    few = ["+preset=smoke", "generations=4", "steps_per_generation=500", f"env={env}"]
+    few = ["+preset=smoke", "generations=4", "steps_per_generation=500", how]
     whole = start("airhockey_marl.train", *few, f"hydra.run.dir={tmp_path}/whole")
     assert whole.returncode == 0, whole.stderr
     killed = kill_at_the_first_checkpoint(tmp_path / "killed", "airhockey_marl.train", *few)

@@ -1,4 +1,4 @@
-"""Where collector, algorithm and league meet: who is met, what is counted, and that practice teaches."""
+"""Where play, algorithm and league meet: who is met, what is counted, and that practice teaches."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from hydra import compose, initialize_config_dir
 from tensordict import TensorDict
 
 from airhockey_marl.cli import CONF
-from airhockey_marl.env import make_env
+from airhockey_marl.collecting import Collecting, Crew
 from airhockey_marl.exploit import best_response
 from airhockey_marl.league import League
 from airhockey_marl.policy import GaussianPolicy
@@ -15,6 +15,8 @@ from airhockey_marl.samplers import Anchors, Prioritized
 from airhockey_marl.selfplay import Pool, Practice, goals_of, results_against
 from airhockey_marl.shaping import Shaping
 from tests.test_league import league_of
+
+TABLES = {"backend": "batched", "tables": 20, "round_seconds": 30.0, "decision_ticks": 2}
 
 
 class Onlooker:
@@ -33,11 +35,11 @@ class Onlooker:
 
 def test_goals_are_counted_for_each_member_of_the_lineup():
     torch.manual_seed(0)
-    env, learner, policy = make_env("batched", 20, 30.0, 2, 0), Onlooker(), GaussianPolicy([8])
-    practice = Practice(env, policy, 2000, Shaping(0.3, 0.6, 0.4, 0.6), 0.98)
+    learner, policy = Onlooker(), GaussianPolicy([8])
+    crew = Crew(Collecting(), TABLES, 0, policy, 2000)
     lineup = league_of(1).lineup(["defender", 0, "random", "striker"])
-    metrics, goals = practice.generation(learner, lineup, 10_000, 0.0)
-    practice.close()
+    metrics, goals = Practice(crew, policy, Shaping(0.3, 0.6, 0.4, 0.6), 0.98).generation(learner, lineup, 10_000, 0.0)
+    crew.close()
     assert metrics == {"seen": 3.0} and len(learner.views) == 5
     reward = torch.cat([view["next", "reward"].reshape(4, -1) for view in learner.views], dim=1)
     assert goals.tolist() == [[int((row > 0).sum()), int((row < 0).sum())] for row in reward]

@@ -12,23 +12,22 @@ import statistics
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import closing
 from functools import partial
 from pathlib import Path
 
 import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
-from tensordict.nn import TensorDictSequential
 from torch.func import grad_and_value
-from torchrl.collectors import Collector
 
 from airhockey_marl.building import build
 from airhockey_marl.cli import CONF
-from airhockey_marl.env import SEATS, AirHockey, make_env
+from airhockey_marl.collecting import MULTISYNC, Collecting, Crew
+from airhockey_marl.env import SEATS, AirHockey
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
 from airhockey_marl.policy import USER_PREDICTION_HIDDEN, GaussianPolicy
-from airhockey_marl.seats import LEARNER, OPPONENT, actor
 from airhockey_marl.table import Table
 from airhockey_marl.tables import Tables
 from airhockey_marl.train import train
@@ -91,33 +90,28 @@ def batched_ticks(tables: int = 4096, ticks: int = 100) -> float:
     return tables * ticks / seconds(play)
 
 
-def collected_frames(batch: int = 5000, tables: int = 250) -> float:
+def collected_frames(how: Collecting, batch: int = 5000, tables: int = 250) -> float:
+    """Of the learner and a line-up of 25, weights and random numbers told before each batch, as in training."""
     policy = GaussianPolicy()
-    collector = Collector(
-        make_env("batched", tables, 30.0, 2, 0),
-        TensorDictSequential(actor(LEARNER, policy), actor(OPPONENT, policy)),
-        frames_per_batch=batch,
-        total_frames=-1,
-        auto_register_policy_transforms=False,
-    )
-    batches = iter(collector)
-    with torch.no_grad():
-        rate = batch / seconds(lambda: next(batches), runs=20)
-    collector.shutdown()
-    return rate
+    env = {"backend": "batched", "tables": tables, "round_seconds": 30.0, "decision_ticks": 2}
+    league, weights = League(policy), policy.state_dict()
+    league.add(policy)
+    with closing(Crew(how, env, 0, policy, batch)) as crew, torch.no_grad():
+        crew.begin(league.lineup([0] * 25))
+        return batch / seconds(lambda: crew.play(weights), runs=20)
 
 
 def trained_frames(*overrides: str, generations: int = 2, steps: int = 100_000) -> float:
     """End to end: collection, advantages, update, freezing, matches, writing."""
     cfg = config("train", f"generations={generations}", f"steps_per_generation={steps}", *overrides)
-    algorithm, sampler = (build(node) for node in (cfg.algorithm, cfg.league.sampler))
-
-    def run() -> None:
-        env = make_env("batched", cfg.env.tables, cfg.env.round_seconds, cfg.env.decision_ticks, cfg.seed)
-        with tempfile.TemporaryDirectory() as folder:
-            train(cfg, Path(folder), env, GaussianPolicy(cfg.hidden, cfg.inputs), algorithm, sampler)
-
-    return generations * steps / seconds(run, runs=1)
+    policy = GaussianPolicy(cfg.hidden, cfg.inputs)
+    learner, sampler = build(cfg.algorithm).learner(policy, cfg.gamma), build(cfg.league.sampler)
+    with (
+        closing(Crew(Collecting(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)) as crew,
+        tempfile.TemporaryDirectory() as folder,
+    ):
+        took = seconds(lambda: train(cfg, Path(folder), policy, learner, crew, sampler), runs=1)
+    return generations * steps / took
 
 
 def maml_steps(users: int = 9, ticks: int = 1000) -> dict[str, float]:
@@ -220,7 +214,8 @@ def main() -> None:
     figures = {
         "env_pettingzoo_steps_per_s": round(single),
         "env_batched_steps_per_s": round(batched),
-        "collector_frames_per_s": round(collected_frames()),
+        "collector_frames_per_s": round(collected_frames(Collecting())),
+        "collector_of_2_processes_frames_per_s": round(collected_frames(Collecting(MULTISYNC, 2))),
         "trpo_frames_per_s": round(ours),
         "trpo_over_sb3_contrib": best and round(ours / best, 2),
         "trpo_over_sb3_contrib_with_all_states_in_the_fisher_matrix": best and round(equal_work / best, 2),
