@@ -69,9 +69,9 @@ class Checkpoint:
 def _tensors_of(owner: nn.Module | Optimizer) -> dict[str, torch.Tensor]:
     """Everything that an optimizer or a module remembers, by name."""
     if isinstance(owner, nn.Module):
-        return owner.state_dict()
+        return {name: tensor.cpu() for name, tensor in owner.state_dict().items()}
     memories = owner.state_dict()["state"]
-    return {f"{index}.{name}": tensor for index, memory in memories.items() for name, tensor in memory.items()}
+    return {f"{index}.{name}": tensor.cpu() for index, memory in memories.items() for name, tensor in memory.items()}
 
 
 def _take_over(owner: nn.Module | Optimizer, tensors: dict[str, torch.Tensor], what: str) -> None:

@@ -5,10 +5,12 @@ import io
 import os
 import sys
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, redirect_stderr
 from importlib.util import find_spec
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import hydra
 from hydra.core.hydra_config import HydraConfig
@@ -229,8 +231,12 @@ def require_numbers(
             raise InputError(f"{key} = {value} must be a number {lowest}{highest}")
 
 
-def config_of(run: Path, state: str) -> DictConfig:
-    """The configuration of an earlier run, to go on with it; `state` is the name of the file that it goes on from.
+def config_of(run: Path, state: str, now: Mapping[str, Any] = MappingProxyType({})) -> DictConfig:
+    """The configuration of an earlier run, to go on with it.
+
+    Args:
+        state: the name of the file that it goes on from.
+        now: the command's own configuration, whose keys stand for those that the earlier run did not know yet.
 
     Raises:
         ValueError: it is not a run of this command that has come so far.
@@ -248,8 +254,24 @@ def config_of(run: Path, state: str) -> DictConfig:
         own = _own_keys(HydraConfig.get().job.config_name)
         for key in set(cfg) - own:
             del cfg[key]
+    for key in set(now) - set(cfg):
+        cfg[key] = now[key]
     cfg.resume = str(run)
     return cfg
+
+
+def require_device(cfg: DictConfig) -> None:
+    """Refuse a `device` that torch does not find here.
+
+    Raises:
+        InputError: names it, and what there is.
+    """
+    import torch  # not above: the commands that only read start without it
+
+    there = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+    there += [f"cuda:{index}" for index in range(torch.cuda.device_count())]
+    if cfg.device not in there:
+        raise InputError(f"device = {cfg.device} must be one of {', '.join(there)}, which are what there is here")
 
 
 class ProgressBar:

@@ -1,9 +1,11 @@
 """Policies asked row by row, compiled: no bit of what a row is told depends on which others are asked with it.
 
 A batched matrix product rounds differently with the size of its batch, and play amplifies a last bit into another game.
-Asked like this, a game comes out the same alone, among nine conditions and among a hundred studies.
+Asked like this, a game comes out the same alone, among nine conditions and among a hundred studies. On a GPU, which
+is for many rows, they are asked all at once after all: the same but for the last bits.
 """
 
+import copy
 from collections.abc import Mapping
 from math import exp
 
@@ -116,7 +118,39 @@ class RowByRow:
         return mean, std
 
 
-def steady(policy: GaussianPolicy) -> Player:
-    """The player that always takes a policy's mean action, as `match.confident`, but row by row."""
-    rows = RowByRow(policy)
+class AllAtOnce:
+    """As `RowByRow`, but in one batched product per layer, on any device."""
+
+    def __init__(
+        self, policy: GaussianPolicy, weights: Mapping[str, Tensor] | None = None, device: str = "cpu"
+    ) -> None:
+        if weights is None:
+            weights = {name: tensor.unsqueeze(0) for name, tensor in policy.named_parameters()}
+        self._policy, self._device = copy.deepcopy(policy).to(device), device
+        self._weights = {name: tensor.detach().to(device) for name, tensor in weights.items()}
+
+    @torch.no_grad()
+    def __call__(self, observation: np.ndarray, which: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+        """Mean and STD (n, 2), float32, at observations (n, 12), of models `which` (n,) int64, of the first if None."""
+        asked = torch.from_numpy(observation).float().to(self._device)
+        if which is None:
+            models, asked = torch.zeros(1, dtype=torch.int64), asked[None]
+        else:
+            models, asked = torch.from_numpy(which), asked[:, None]
+        models = models.to(self._device)
+        weights = {name: tensor[models] for name, tensor in self._weights.items()}
+        mean, std = (part.flatten(0, 1).cpu() for part in self._policy.forward_each(weights, asked))
+        return mean.numpy(), std.numpy()
+
+
+def rows_of(
+    policy: GaussianPolicy, weights: Mapping[str, Tensor] | None = None, device: str = "cpu"
+) -> RowByRow | AllAtOnce:
+    """The models to ask, see `RowByRow`: row by row on a CPU, all at once on any other device."""
+    return RowByRow(policy, weights) if device == "cpu" else AllAtOnce(policy, weights, device)
+
+
+def steady(policy: GaussianPolicy, device: str = "cpu") -> Player:
+    """The player that always takes a policy's mean action, as `match.confident`, but asked by `rows_of`."""
+    rows = rows_of(policy, device=device)
     return lambda observation: torch.from_numpy(rows(observation.numpy())[0])

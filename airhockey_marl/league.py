@@ -116,7 +116,7 @@ class League:
 
 def weights_of(policy: GaussianPolicy) -> TensorDict:
     """The policy's parameters, nested like its modules; not its buffers, which are constants of the architecture."""
-    return TensorDict({name: tensor.detach() for name, tensor in policy.named_parameters()}).unflatten_keys(".")
+    return TensorDict({name: tensor.detach().cpu() for name, tensor in policy.named_parameters()}).unflatten_keys(".")
 
 
 def require_weights(policy: GaussianPolicy, shapes: Mapping[str, tuple[int, ...]]) -> None:

@@ -61,7 +61,8 @@ class ClippedSurrogate:
     """PPO at work on one policy: advantages, then epochs of minibatches for policy and critic."""
 
     def __init__(self, settings: PPO, policy: nn.Module, gamma: float) -> None:
-        self.settings, self.policy, self.critic = settings, policy, settings.critic()
+        self.settings, self.policy = settings, policy
+        self.critic = settings.critic().to(next(policy.parameters()).device)
         self.actor = gaussian_actor(policy)
         self.gamma = gamma
         self.loss = ClipPPOLoss(

@@ -119,7 +119,7 @@ class Memory(nn.Module):
         """Remember a batch of play, see `learner.Learner`; the oldest makes room."""
         flat, capacity = view.reshape(-1), len(self.reward)
         flat = flat[-capacity:]
-        place = (self.written + torch.arange(len(flat))) % capacity
+        place = (self.written + torch.arange(len(flat), device=self.written.device)) % capacity
         self.observation[place], self.action[place] = flat["observation"], flat["action"]
         self.reward[place], self.following[place] = flat["next", "reward"], flat["next", "observation"]
         self.terminated[place] = flat["next", "terminated"]
@@ -148,10 +148,13 @@ class SoftActorCritic:
     """SAC at work on one policy."""
 
     def __init__(self, settings: SAC, policy: nn.Module, gamma: float) -> None:
-        self.settings, self.policy, self.memory = settings, policy, Memory(settings.capacity)
+        device = next(policy.parameters()).device
+        self.settings, self.policy, self.memory = settings, policy, Memory(settings.capacity).to(device)
         networks = [
             TensorDictModule(
-                QNetwork(settings.q_hidden), in_keys=["observation", "action"], out_keys=["state_action_value"]
+                QNetwork(settings.q_hidden).to(device),
+                in_keys=["observation", "action"],
+                out_keys=["state_action_value"],
             )
             for _ in range(2)
         ]

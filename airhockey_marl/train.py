@@ -30,7 +30,15 @@ from airhockey_marl.anchors import ANCHORS
 from airhockey_marl.board import board_of, conclude, introduce, open_board
 from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
-from airhockey_marl.cli import InputError, command, config_of, input_errors, require_counts, require_numbers
+from airhockey_marl.cli import (
+    InputError,
+    command,
+    config_of,
+    input_errors,
+    require_counts,
+    require_device,
+    require_numbers,
+)
 from airhockey_marl.collecting import Collecting, Crew
 from airhockey_marl.files import write_json, write_text
 from airhockey_marl.guards import stopping
@@ -58,6 +66,7 @@ def check(cfg: DictConfig) -> None:
     counts = ("threads", "generations", "steps_per_generation", "batch")
     require_counts(cfg, *counts, "env.tables", "env.decision_ticks", "league.opponents")
     require_counts(cfg, "league.match_rounds", "league.match_every")
+    require_device(cfg)
     require_counts(cfg, "seed", "shaping.generations", least=0)
     require_numbers(cfg, "gamma", "league.memory", at_most=1.0)
     require_numbers(cfg, "env.round_seconds")
@@ -77,11 +86,11 @@ def main(cfg: DictConfig) -> float:
     """Train; for a sweeper, the last generation's share of decided rounds against the strongest script."""
     with input_errors():
         if cfg.resume is not None:
-            cfg = config_of(Path(cfg.resume), STATE)
+            cfg = config_of(Path(cfg.resume), STATE, cfg)
         check(cfg)
         torch.set_num_threads(cfg.threads)
         torch.manual_seed(cfg.seed)
-        policy = GaussianPolicy(cfg.hidden, cfg.inputs)
+        policy = GaussianPolicy(cfg.hidden, cfg.inputs).to(cfg.device)
         algorithm: Algorithm = build(cfg.algorithm)
         sampler: Sampler = build(cfg.league.sampler)
         learner = algorithm.learner(policy, cfg.gamma)
@@ -143,7 +152,7 @@ def train(
         pool.league.add(policy)
         others = references(generation, cfg.league.match_every)
         results = results_against(
-            policy,
+            pool.league.player(generation),
             pool.league.lineup(others),
             cfg.league.match_rounds,
             cfg.seed + SEEDS_APART * generation,

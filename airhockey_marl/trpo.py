@@ -139,7 +139,7 @@ class TrustRegion:
 
     def __init__(self, settings: TRPO, policy: nn.Module, gamma: float) -> None:
         self.settings, self.policy, self.gamma = settings, policy, gamma
-        self.critic = settings.critic()
+        self.critic = settings.critic().to(next(policy.parameters()).device)
         self.optimizer = torch.optim.Adam(self.critic.parameters(), lr=settings.critic_lr, fused=True)
 
     def parts(self) -> dict[str, nn.Module | torch.optim.Optimizer]:

@@ -25,7 +25,7 @@ from torch.utils.tensorboard import SummaryWriter
 
 from airhockey_marl.board import board_of, conclude, introduce
 from airhockey_marl.building import build
-from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts, require_numbers
+from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts, require_device, require_numbers
 from airhockey_marl.files import replacing, write_json
 from airhockey_marl.inference import steady
 from airhockey_marl.league import League
@@ -48,12 +48,13 @@ def main(cfg: DictConfig) -> None:
     with input_errors():
         require_counts(cfg, "participants", "threads")
         require_counts(cfg, "seed", least=0)
+        require_device(cfg)
         require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
         conditions = chosen_conditions(cfg)
         protocol: Protocol = build(cfg.study)
         population: Population = build(cfg.users.population)
-        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
+        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta, cfg.device)
+        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent), cfg.device)
         people = sample_people(cfg.participants, cfg.seed, population)
         mentors = load_mentors(cfg.users.mentors)
         for name in cfg.users.withdrawn:

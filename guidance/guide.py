@@ -7,7 +7,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from airhockey_marl.inference import RowByRow
+from airhockey_marl.inference import rows_of
 from guidance.conditions import ADAPTED, OPTIMAL, USER, Combined, Condition, Guidance, Guided, Target, Toward
 from guidance.models import Models
 
@@ -46,9 +46,10 @@ class Guide:
         asked = frozenset().union(*(condition.guidance.models() for condition in conditions))
         if ADAPTED in asked and (adapted is None or adapted.batch_size != (users,)):
             raise ValueError(f"adapted: needs the parameters of each of the {users} users")
-        self._rows = {OPTIMAL: RowByRow(models.optimal), USER: RowByRow(models.user)}
+        on = models.device
+        self._rows = {OPTIMAL: rows_of(models.optimal, device=on), USER: rows_of(models.user, device=on)}
         if adapted is not None:
-            self._rows[ADAPTED] = RowByRow(models.meta, adapted.flatten_keys(".").to_dict())
+            self._rows[ADAPTED] = rows_of(models.meta, adapted.flatten_keys(".").to_dict(), on)
         self._everything = np.arange(len(self.conditions) * users)
         self._plan = Plan(self.conditions, users, self._everything)
 

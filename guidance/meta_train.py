@@ -33,6 +33,7 @@ from airhockey_marl.cli import (
     config_of,
     input_errors,
     require_counts,
+    require_device,
     require_numbers,
 )
 from airhockey_marl.files import sha256, write_json
@@ -64,6 +65,7 @@ def check(cfg: DictConfig) -> None:
     """
     require_counts(cfg, "threads", "maml.epochs", "maml.block", "supervised.epochs", "supervised.batch_size")
     require_counts(cfg, "seed", least=0)
+    require_device(cfg)
     require_counts(cfg, "demonstrations.games", least=2)  # one to adapt to and one to validate on
     require_counts(cfg, "demonstrations.ticks", least=cfg.maml.block)
     require_numbers(cfg, "ahead", least=0.0, at_most=1.0)
@@ -77,7 +79,7 @@ def main(cfg: DictConfig) -> float:
     """Train both; for a sweeper, the loss of Eq. 3 after UA on people that the model has not seen."""
     with input_errors():
         if cfg.resume is not None:
-            cfg = config_of(Path(cfg.resume), STATE)
+            cfg = config_of(Path(cfg.resume), STATE, cfg)
         check(cfg)
         check_variant(cfg.users.variant)
         population: Population = build(cfg.users.population)
@@ -112,7 +114,8 @@ def run(
     data = play(training_people(cfg.seed, population), cfg.seed, "nine people play")
     data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, Table()))
     progress.close()
-    seconds = train_both(cfg, folder, meta, user, data)
+    seconds = train_both(cfg, folder, meta.to(cfg.device), user.to(cfg.device), data.to(cfg.device))
+    meta.cpu(), user.cpu()
     strangers = sample_people(len(data.action), HELD_OUT_SEED, population)
     scores = prediction_scores(
         meta, user, play(strangers, HELD_OUT_SEED, "nine others play"), cfg.maml.inner_lr, cfg.ahead

@@ -59,6 +59,7 @@ class Models:
         inner_lr: alpha of Eq. 1, with which `meta` was trained.
         ahead: s after the state, at which `user` and `meta` predict the action; 0 in the paper.
         hashes: SHA-256 of the file of each.
+        device: on which they are asked, see `inference.rows_of`.
     """
 
     optimal: GaussianPolicy
@@ -67,9 +68,12 @@ class Models:
     inner_lr: float
     hashes: dict[str, str]
     ahead: float = 0.0
+    device: str = "cpu"
 
     @classmethod
-    def load(cls, league: Path | str, generation: int, user: Path | str, meta: Path | str) -> "Models":
+    def load(
+        cls, league: Path | str, generation: int, user: Path | str, meta: Path | str, device: str = "cpu"
+    ) -> "Models":
         """Read the models from their files.
 
         Raises:
@@ -91,6 +95,7 @@ class Models:
             inner_lr=facts["inner_lr"],
             ahead=ahead.pop(),
             hashes={"league": sha256(league), "user": sha256(user), "meta": sha256(meta)},
+            device=device,
         )
 
     def adapted_to(self, demonstrations: Sequence[tuple[Tensor, Tensor]]) -> TensorDict:

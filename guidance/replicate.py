@@ -38,6 +38,7 @@ from airhockey_marl.cli import (
     config_of,
     input_errors,
     require_counts,
+    require_device,
     require_numbers,
 )
 from airhockey_marl.files import replacing, write_json, write_text
@@ -101,8 +102,9 @@ class Studies:
     def __init__(self, cfg: DictConfig) -> None:
         self.cfg = cfg
         self.population: Population = build(cfg.users.population)
-        self.models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        self.opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
+        files = cfg.models
+        self.models = Models.load(files.league, files.generation, files.user, files.meta, cfg.device)
+        self.opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent), cfg.device)
         self.mentors = load_mentors(cfg.users.mentors)
         self.conditions, self.protocol = chosen_conditions(cfg), build(cfg.study)
         self.factors = assumptions(cfg, self.population)
@@ -166,7 +168,7 @@ def _play_alone(cfg: dict, batch: Batch) -> pd.DataFrame:
 def main(cfg: DictConfig) -> None:
     with input_errors():
         if cfg.resume is not None:
-            cfg = config_of(Path(cfg.resume), STATE)
+            cfg = config_of(Path(cfg.resume), STATE, cfg)
         check(cfg)
         studies = Studies(cfg)
     torch.set_num_threads(cfg.threads)
@@ -198,6 +200,7 @@ def check(cfg: DictConfig) -> None:
         ValueError: names the key, its value and what is allowed.
     """
     require_counts(cfg, "together", "threads")
+    require_device(cfg)
     require_counts(cfg, "participants", least=3)  # fewer cannot be tested
     require_counts(cfg, "n", "seed", "controls", "sensitivity.points", least=0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)

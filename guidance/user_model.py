@@ -59,6 +59,10 @@ class Demonstrations:
                 f"{tuple(self.observation.shape)}, {self.observation.dtype}"
             )
 
+    def to(self, device: str) -> "Demonstrations":
+        """The same on another device."""
+        return Demonstrations(self.observation.to(device), self.action.to(device))
+
     def batches(self, size: int, generator: torch.Generator | None = None) -> Iterator[Samples]:
         """All ticks of all users once, shuffled, in batches (size, .); the last may be smaller.
 

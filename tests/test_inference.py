@@ -5,7 +5,7 @@ import pytest
 import torch
 from torch.func import stack_module_state
 
-from airhockey_marl.inference import RowByRow, steady
+from airhockey_marl.inference import AllAtOnce, RowByRow, rows_of, steady
 from airhockey_marl.policy import GaussianPolicy
 
 
@@ -34,6 +34,26 @@ def test_each_row_asks_its_own_model():
     for row, model in enumerate(which):
         expected = RowByRow(models[model])(seen[row : row + 1])
         assert np.array_equal(mean[row], expected[0][0]) and np.array_equal(std[row], expected[1][0])
+
+
+GPU = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+
+
+@pytest.mark.parametrize("device", ["cpu", pytest.param("cuda", marks=GPU)])
+def test_all_at_once_the_answers_are_the_same_but_for_the_last_bits(device):
+    models = [restless([80, 80, 80, 80], "paddle", seed=seed) for seed in range(4)]
+    weights, _ = stack_module_state(models)
+    seen, which = np.random.default_rng(0).normal(size=(30, 12)), np.random.default_rng(1).integers(0, 4, 30)
+    for policy, own, asked in ((models[1], None, None), (models[0], weights, which), (models[0], weights, None)):
+        answers = AllAtOnce(policy, own, device)(seen, asked)
+        for said, expected in zip(answers, RowByRow(policy, own)(seen, asked), strict=True):
+            assert said.dtype == np.float32
+            np.testing.assert_allclose(said, expected, atol=5e-6)
+
+
+def test_a_cpu_is_asked_row_by_row():
+    assert isinstance(rows_of(restless([8])), RowByRow)
+    assert isinstance(rows_of(restless([8]), device="meta"), AllAtOnce)
 
 
 def test_no_bit_depends_on_the_company_or_on_the_number_of_threads():
