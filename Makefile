@@ -10,8 +10,8 @@ help:  ## this list
 study: .venv/installed .venv/compiled  ## the nine conditions on simulated people: tables, figure, report.html
 	$(BIN)/python -m guidance.evaluate
 
-test: .venv/installed .venv/compiled  ## the tests, without the long ones
-	$(BIN)/python -m pytest -m 'not slow'
+test: .venv/installed .venv/compiled  ## the tests, without the long ones, on all cores
+	$(BIN)/python -m pytest -m 'not slow' --numprocesses auto --dist loadfile
 
 test-slow: .venv/installed .venv/compiled  ## the long ones
 	$(BIN)/python -m pytest -m slow
