@@ -23,13 +23,12 @@ from torch import Tensor
 from airhockey_marl.building import build
 from airhockey_marl.cli import command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import replacing
-from airhockey_marl.inference import steady
-from airhockey_marl.league import League
 from airhockey_marl.match import Player
 from airhockey_marl.table import Table
 from guidance.demonstrations import collect
 from guidance.games import Protocol, no_force, play_games, streams
 from guidance.portraits import draw_places, draw_push, draw_shots, draw_speeds
+from guidance.provenance import chosen_opponent
 from guidance.rounds import hand_speed
 from guidance.styles import features, recognised, told_apart
 from guidance.users import Mentors, Population, Users, load_mentors, sample_people
@@ -65,7 +64,7 @@ def main(cfg: DictConfig) -> None:
         check_variant(cfg.users.variant)
         population: Population = build(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
-        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
+        opponent = chosen_opponent(cfg)
     torch.set_num_threads(cfg.threads)
     people = sample_people(cfg.laboratory, cfg.seed, population)
     found, data = in_the_laboratory(people, cfg.users.variant, cfg.seed)

@@ -33,6 +33,7 @@ from guidance.forces import uncertainty_weight
 from guidance.games import Games, no_force, play_games, streams
 from guidance.maml import forward_each
 from guidance.models import Models
+from guidance.provenance import chosen_models
 from guidance.users import Users, load_mentors, training_people
 from guidance.users.reaction import check_variant
 
@@ -56,7 +57,7 @@ def main(cfg: DictConfig) -> None:
         people = training_people(cfg.seed, build(cfg.users.population))
         mentors = load_mentors(cfg.users.mentors)
         protocol = build(cfg.study, familiarisation=0)
-        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+        models = chosen_models(cfg)
         league = League.load(cfg.models.opponents)
         if cfg.opponent is not None:
             league.generation(cfg.opponent)

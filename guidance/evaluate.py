@@ -27,13 +27,10 @@ from airhockey_marl.board import board_of, conclude, introduce
 from airhockey_marl.building import build
 from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts, require_device, require_numbers
 from airhockey_marl.files import replacing, write_json
-from airhockey_marl.inference import steady
-from airhockey_marl.league import League
 from airhockey_marl.table import Table
 from guidance.games import Protocol
 from guidance.histograms import Histograms
-from guidance.models import Models
-from guidance.provenance import chosen_conditions, hashes_of, manifest
+from guidance.provenance import chosen_conditions, chosen_models, chosen_opponent, hashes_of, manifest
 from guidance.report import screen_table, write_report
 from guidance.stats import METRICS, compare_with_paper
 from guidance.study import NINE, balanced, run_study, williams
@@ -53,8 +50,8 @@ def main(cfg: DictConfig) -> None:
         conditions = chosen_conditions(cfg)
         protocol: Protocol = build(cfg.study)
         population: Population = build(cfg.users.population)
-        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta, cfg.device)
-        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent), cfg.device)
+        models = chosen_models(cfg, cfg.device)
+        opponent = chosen_opponent(cfg, cfg.device)
         people = sample_people(cfg.participants, cfg.seed, population)
         mentors = load_mentors(cfg.users.mentors)
         for name in cfg.users.withdrawn:

@@ -22,14 +22,12 @@ from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.building import build
 from airhockey_marl.cli import InputError, command, input_errors, require_counts, require_numbers
-from airhockey_marl.inference import steady
-from airhockey_marl.league import League
 from airhockey_marl.table import Table
 from guidance.clock import HurriedClock, WallClock
 from guidance.games import streams
 from guidance.lsl import open_streams
 from guidance.models import Models
-from guidance.provenance import chosen_conditions, hashes_of, manifest
+from guidance.provenance import chosen_conditions, chosen_models, chosen_opponent, hashes_of, manifest
 from guidance.recording import load_json
 from guidance.records import Participant, Records
 from guidance.seat import Dark, Leave, Seat, leaving_when_told
@@ -129,7 +127,7 @@ def plan_of(cfg: DictConfig, models: Models) -> Plan:
     return Plan(
         conditions=chosen_conditions(cfg),
         models=models,
-        opponent=steady(League.load(cfg.models.opponents).player(cfg.opponent)),
+        opponent=chosen_opponent(cfg),
         opponent_label=f"generation {cfg.opponent}",
         protocol=build(cfg.study),
         lookahead_seconds=cfg.guidance.lookahead,
@@ -151,7 +149,7 @@ def main(cfg: DictConfig) -> None:
         withdraw(Path(cfg.records), str(cfg.participant))
         return
     with input_errors():
-        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+        models = chosen_models(cfg)
         plan, limits = plan_of(cfg, models), build(cfg.safety)
         people = sample_people(cfg.participants, cfg.seed, build(cfg.users.population))
         facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else Nobody()

@@ -38,14 +38,13 @@ from airhockey_marl.cli import (
 )
 from airhockey_marl.files import sha256, write_json
 from airhockey_marl.guards import stopping
-from airhockey_marl.inference import steady
-from airhockey_marl.league import League
 from airhockey_marl.lock import locked
 from airhockey_marl.policy import GaussianPolicy
 from airhockey_marl.table import Table
 from guidance.demonstrations import collect
 from guidance.models import save_user_model
 from guidance.prediction import judge, predictors
+from guidance.provenance import chosen_opponent
 from guidance.rounds import action_ahead
 from guidance.user_model import Demonstrations, train_maml, train_supervised
 from guidance.users import Mentors, Population, load_mentors, sample_people, training_people
@@ -84,7 +83,7 @@ def main(cfg: DictConfig) -> float:
         check_variant(cfg.users.variant)
         population: Population = build(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
-        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
+        opponent = chosen_opponent(cfg)
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
     torch.set_num_threads(cfg.threads)

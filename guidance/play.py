@@ -28,7 +28,7 @@ from guidance.clock import WallClock
 from guidance.conditions import ADAPTED, Condition
 from guidance.games import Protocol, Rink, Scoring, streams
 from guidance.models import Models
-from guidance.provenance import chosen_conditions
+from guidance.provenance import chosen_conditions, chosen_models
 from guidance.recording import Game, Recording
 from guidance.safety import Limits
 from guidance.seat import Leave, Seat, leaving_when_told
@@ -224,7 +224,7 @@ def main(cfg: DictConfig) -> None:
             raise InputError(f"condition = {begin_with.name} needs a model of you: begin with another, and press a")
         cfg.condition = None
         conditions = {str(i + 1): condition for i, condition in enumerate(chosen_conditions(cfg))}
-        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+        models = chosen_models(cfg)
         opponents = League.load(cfg.models.opponents)
         opponents.player(cfg.opponent)
         limits: Limits = build(cfg.safety)

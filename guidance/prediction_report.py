@@ -22,8 +22,6 @@ from torch import Tensor
 from airhockey_marl.building import build
 from airhockey_marl.cli import InputError, ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import sha256, write_json, write_text
-from airhockey_marl.inference import steady
-from airhockey_marl.league import League
 from airhockey_marl.page import template
 from airhockey_marl.table import Table
 from guidance.demonstrations import collect
@@ -39,6 +37,7 @@ from guidance.prediction import (
     reliability,
     with_intervals,
 )
+from guidance.provenance import chosen_models, chosen_opponent
 from guidance.rounds import action_ahead
 from guidance.user_model import Demonstrations, adapt_to_user
 from guidance.users import Population, load_mentors, sample_people
@@ -79,8 +78,8 @@ def main(cfg: DictConfig) -> None:
         check(cfg)
         population: Population = build(cfg.users.population)
         mentors = load_mentors(cfg.users.mentors)
-        models = Models.load(cfg.models.league, -1, cfg.models.user, cfg.models.meta)
-        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
+        models = chosen_models(cfg)
+        opponent = chosen_opponent(cfg)
     torch.set_num_threads(cfg.threads)
     progress, table = ProgressBar(), Table()
     people = sample_people(cfg.participants, cfg.seed, population)

@@ -12,6 +12,9 @@ from omegaconf import DictConfig, OmegaConf
 from airhockey_marl.building import build
 from airhockey_marl.cli import CONF
 from airhockey_marl.files import sha256
+from airhockey_marl.inference import steady
+from airhockey_marl.league import League
+from airhockey_marl.match import Player
 from guidance.conditions import Condition
 from guidance.models import Models
 
@@ -38,6 +41,25 @@ def chosen_conditions(cfg: DictConfig) -> list[Condition]:
         if one.letter == other.letter:
             raise ValueError(f"condition.letter = {one.letter} is that of {one.name} and of {other.name}")
     return conditions
+
+
+def chosen_models(cfg: DictConfig, device: str = "cpu") -> Models:
+    """The models of the configuration, to be asked on `device`.
+
+    Raises:
+        ValueError: a file is missing or broken, or the league has no such generation.
+    """
+    files = cfg.models
+    return Models.load(files.league, files.get("generation", -1), files.user, files.meta, device)
+
+
+def chosen_opponent(cfg: DictConfig, device: str = "cpu") -> Player:
+    """The opponent of the configuration, which plays the mean of what it says, asked on `device`.
+
+    Raises:
+        ValueError: the file is missing or broken, or the league has no such generation.
+    """
+    return steady(League.load(cfg.models.opponents).player(cfg.opponent), device)
 
 
 def hashes_of(cfg: DictConfig, models: Models) -> dict[str, str]:

@@ -42,14 +42,11 @@ from airhockey_marl.cli import (
     require_numbers,
 )
 from airhockey_marl.files import replacing, write_json, write_text
-from airhockey_marl.inference import steady
-from airhockey_marl.league import League
 from airhockey_marl.lock import locked
 from airhockey_marl.page import template
 from airhockey_marl.table import Table
 from guidance.figures import robustness_map, save_figure
-from guidance.models import Models
-from guidance.provenance import chosen_conditions, frozen_study, hashes_of, manifest
+from guidance.provenance import chosen_conditions, chosen_models, chosen_opponent, frozen_study, hashes_of, manifest
 from guidance.robustness import findings_over, leans_on, outcomes_of, scores_of, spread, ua_over, wrong_over
 from guidance.sensitivity import changed, latin_hypercube
 from guidance.stats import EVIDENCE, METRICS, reference_points
@@ -102,9 +99,8 @@ class Studies:
     def __init__(self, cfg: DictConfig) -> None:
         self.cfg = cfg
         self.population: Population = build(cfg.users.population)
-        files = cfg.models
-        self.models = Models.load(files.league, files.generation, files.user, files.meta, cfg.device)
-        self.opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent), cfg.device)
+        self.models = chosen_models(cfg, cfg.device)
+        self.opponent = chosen_opponent(cfg, cfg.device)
         self.mentors = load_mentors(cfg.users.mentors)
         self.conditions, self.protocol = chosen_conditions(cfg), build(cfg.study)
         self.factors = assumptions(cfg, self.population)

@@ -25,14 +25,13 @@ from tensordict import TensorDict
 from airhockey_marl.building import build
 from airhockey_marl.cli import InputError, ProgressBar, choices, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import found_below, replacing
-from airhockey_marl.inference import steady
-from airhockey_marl.league import League
 from airhockey_marl.match import Player
 from airhockey_marl.table import Table
 from guidance.conditions import ADAPTED, Condition
 from guidance.drawing import NARROWEST, Scene, draw_sheet, save_film
 from guidance.games import Protocol, Rink, no_force, play_games, streams
 from guidance.models import Models
+from guidance.provenance import chosen_models, chosen_opponent
 from guidance.recording import games_in, load_json
 from guidance.study import NO_CONDITION
 from guidance.ticks import TickLog, overheard_guide, read_ticks, scene_facts
@@ -118,8 +117,8 @@ def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dic
         condition: Condition = build(cfg.condition)
         protocol: Protocol = build(cfg.study)
         person, mentors = chosen_person(cfg), load_mentors(cfg.users.mentors)
-        models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-        opponent = steady(League.load(cfg.models.opponents).player(cfg.opponent))
+        models = chosen_models(cfg)
+        opponent = chosen_opponent(cfg)
     adapted = None
 
     def seat(game: int) -> tuple[Users, np.ndarray]:
