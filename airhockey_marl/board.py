@@ -3,6 +3,7 @@
 VOCABULARY explains every tag that any command writes; the tests hold the event files against it.
 """
 
+import io
 import json
 import re
 import time
@@ -11,6 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
+from PIL import Image
+from tensorboard.compat.proto.summary_pb2 import Summary
 from torch.utils.tensorboard import SummaryWriter
 from torch.utils.tensorboard.summary import hparams
 
@@ -19,18 +22,23 @@ VOCABULARY = {
     "update/*": "what the algorithm says of its updates, averaged over a generation (TRPO: kl, gain, step, std, ...)",
     "win_rate_against/*": "share of decided rounds that a new generation wins against an older one or a script",
     "speed/steps_per_s": "steps of play per second since the run began; the only scalars that two equal runs differ in",
+    "league/*": "pictures while it learns: win_rates, of the generations so far, when each was the newest, against "
+    "those before it and the scripts; and film, some seconds of the newest (left, blue) against the striker",
     "rating/*": "Elo points above generation 0, of the generations of the payoff matrix and of the scripts",
     "save_rate/*": "share of the striker's shots that are saved, by the last generation and by the defender",
     "std/*": "mean STD of the last generation's actions, in units of action, by situation",
     "report/*": "pictures: payoff (who beats whom), rating, precision, and match, a film",
     "maml/*": "per epoch: loss of Eq. 3 after adaptation (Eq. 2), and loss_before it",
     "supervised/*": "per epoch: loss of Eq. 3 without meta-learning",
-    "study/*": "mean of a metric over people, by condition: study/<metric>/<condition>",
+    "study/*": "mean of a metric over people, by condition: study/<metric>/<condition>; rates are shares from 0 to 1, "
+    "mean_smash_speed is in m/s, mean_disagreement in N, ratings are from 1 to 7",
     "force/*": "histogram of the size of the force in N, every tick of everybody's game, by condition",
     "w_*": "histogram of a weight (w_unc_optimal, w_unc_user, w_sim), ditto, by condition that uses it",
     "figure/*": "pictures of a study: figure6",
-    "score/*": "what a finished run is judged by; the metrics of the HPARAMS page",
+    "score/*": "what a finished run is judged by, the metrics of the HPARAMS page: shares of decided rounds, speeds in "
+    "m/s, losses of Eq. 3, rmse in units of action, and how many of the paper's findings are replicated",
     "card/text_summary": "the resolved configuration",
+    "names/text_summary": "this table",
 }
 LAYOUT = {
     "League": {
@@ -47,6 +55,7 @@ LAYOUT = {
 }
 STAMPED = re.compile(r"(events\.out\.tfevents\.)(\d{10})(\..*)")
 NOT_SETTINGS = ("resume", "threads")  # how a run is run, not what it is
+SCORES = "scores"  # the folder of what the HPARAMS page shows
 
 
 def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -61,16 +70,34 @@ def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
 
 
 def introduce(writer: SummaryWriter, cfg: DictConfig) -> None:
-    """Log what a run is, once, as it begins: the layout of the CUSTOM SCALARS page, and the card on the TEXT page."""
+    """Log what a run is, once, as it begins: the layout of the CUSTOM SCALARS page, card and names on the TEXT page."""
     writer.add_custom_scalars(LAYOUT)
     yaml = OmegaConf.to_yaml(cfg, resolve=True)
     writer.add_text("card", "".join(f"    {line}\n" for line in yaml.splitlines()))  # indented: verbatim in markdown
+    rows = "".join(f"| `{tag.removesuffix('/text_summary')}` | {what} |\n" for tag, what in VOCABULARY.items())
+    writer.add_text("names", f"| name | what it is |\n|---|---|\n{rows}")
 
 
-def conclude(writer: SummaryWriter, cfg: DictConfig, scores: Mapping[str, float], step: int = 0) -> None:
+def add_picture(writer: SummaryWriter, tag: str, content: bytes, step: int) -> None:
+    """Log a picture as it is, a PNG or an animated GIF.
+
+    `SummaryWriter.add_image` would encode it anew, and its `add_video` makes a GIF with a moviepy of before version 2.
+    """
+    with Image.open(io.BytesIO(content)) as picture:
+        width, height = picture.size
+    image = Summary.Image(width=width, height=height, colorspace=3, encoded_image_string=content)  # 3: RGB
+    writer._get_file_writer().add_summary(Summary(value=[Summary.Value(tag=tag, image=image)]), step)
+
+
+def conclude(folder: Path | str, cfg: DictConfig, scores: Mapping[str, float], step: int = 0) -> None:
     """Log what came of a finished run, as `score/*` and on the HPARAMS page beside all its settings.
 
+    What the page shows is left to TensorBoard to gather: the settings of all runs, those that differ first, and every
+    scalar in their folders. So the scores have a folder to themselves, and there is no description of an experiment,
+    of which the page would take the first that it comes by, and show of the runs of other commands no more than that.
+
     Args:
+        folder: of the run.
         scores: by name; what is not a number is left out.
     """
     known = {f"score/{name}": float(value) for name, value in scores.items() if value == value}
@@ -79,10 +106,11 @@ def conclude(writer: SummaryWriter, cfg: DictConfig, scores: Mapping[str, float]
         for name, value in flat(OmegaConf.to_container(cfg, resolve=True)).items()
         if name not in NOT_SETTINGS
     }
-    for summary in hparams(settings, known):
-        writer._get_file_writer().add_summary(summary)
-    for name, value in known.items():
-        writer.add_scalar(name, value, step)
+    with open_board(board_of(folder) / SCORES, 0) as writer:  # 0: a run that ends again has its scores once
+        for summary in hparams(settings, known)[1:]:  # without the description
+            writer._get_file_writer().add_summary(summary)
+        for name, value in known.items():
+            writer.add_scalar(name, value, step)
 
 
 def board_of(folder: Path | str) -> Path:

@@ -8,8 +8,8 @@
 
 Writes into its run folder: league.safetensors (every generation), matches.csv (each generation against some before it
 and the scripted anchors), card.json (what it is, and how it plays), and what TensorBoard reads. All is written again
-after each generation, whole, and so is state.safetensors, from which `resume` goes on: weights, matches and
-TensorBoard's scalars end bit for bit as those of a run that was never stopped (but for `speed/`, which is the clock's).
+after each generation, whole, and so is state.safetensors, from which `resume` goes on: weights, matches and what
+TensorBoard shows end bit for bit as those of a run that was never stopped (but for `speed/`, which is the clock's).
 """
 
 import sys
@@ -25,8 +25,9 @@ from torch.utils.tensorboard import SummaryWriter
 from torchrl.envs import EnvBase
 from tqdm import tqdm
 
+from airhockey_marl import figures
 from airhockey_marl.anchors import ANCHORS
-from airhockey_marl.board import board_of, conclude, introduce, open_board
+from airhockey_marl.board import add_picture, board_of, conclude, introduce, open_board
 from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import InputError, command, config_of, input_errors, require_counts, require_numbers
@@ -45,6 +46,7 @@ LEAGUE, MATCHES, STATE = "league.safetensors", "matches.csv", "state.safetensors
 FACTS = {"generation": int, "matches": list, "goals": list, "seconds": float}  # of the state
 JUDGE = "striker"  # of the scripts: the strongest
 CARD_ROUNDS = 25  # times as many rounds as in training, for the scores on the card
+FILM_SECONDS, FILM_WIDTH = 6.0, 240  # of play, and pixels
 SEEDS_APART = 100_000  # more than there are tables in a match, each of which has a seed of its own
 
 
@@ -57,7 +59,7 @@ def check(cfg: DictConfig) -> None:
     counts = ("threads", "generations", "steps_per_generation", "batch")
     require_counts(cfg, *counts, "env.tables", "env.decision_ticks", "league.opponents")
     require_counts(cfg, "league.match_rounds", "league.match_every")
-    require_counts(cfg, "seed", "shaping.generations", least=0)
+    require_counts(cfg, "seed", "shaping.generations", "pictures_every", least=0)
     require_numbers(cfg, "gamma", "league.memory", at_most=1.0)
     require_numbers(cfg, "env.round_seconds")
     require_numbers(cfg, *(f"shaping.{name}" for name in ("position", "velocity", "shot", "approach")), least=0.0)
@@ -90,8 +92,7 @@ def main(cfg: DictConfig) -> float:
         facts = card(cfg, league)
         write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **facts})
         scores = facts["win_rate_of_last_against"]
-        with SummaryWriter(str(board_of(folder))) as board:
-            conclude(board, cfg, {f"against_{name}": rate for name, rate in scores.items()}, facts["steps"])
+        conclude(folder, cfg, {f"against_{name}": rate for name, rate in scores.items()}, facts["steps"])
     return scores[JUDGE]
 
 
@@ -157,6 +158,8 @@ def train(
         scalars |= {f"win_rate_against/{name}": value for name, value in rates.items()}
         for name, value in {**scalars, "speed/steps_per_s": step / seconds}.items():
             board.add_scalar(name, value, step)
+        if cfg.pictures_every and (generation % cfg.pictures_every == 0 or generation == cfg.generations):
+            show(board, pool.league, matches, cfg.seed, cfg.env.decision_ticks, step)
         board.flush()
         pool.league.save(folder / LEAGUE)
         write_text(folder / MATCHES, pd.DataFrame(matches).to_csv(index=False))
@@ -166,6 +169,16 @@ def train(
     practice.close()
     board.close()
     return pool.league, time.perf_counter() - began
+
+
+def show(board: SummaryWriter, league: League, matches: list[dict], seed: int, decision_ticks: int, step: int) -> None:
+    """Log the newest generation against the strongest script, as a film, and all matches so far, as a heat map.
+
+    The random numbers are the film's own: the league is the same with pictures and without.
+    """
+    seats, how = (len(league) - 1, JUDGE), {"decision_ticks": decision_ticks, "width": FILM_WIDTH}
+    add_picture(board, "league/film", figures.film(league, seats, seed, FILM_SECONDS, **how), step)
+    add_picture(board, "league/win_rates", figures.png(figures.win_rates_figure(pd.DataFrame(matches)), 100), step)
 
 
 def references(generation: int, every: int) -> list[Member]:

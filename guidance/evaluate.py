@@ -15,15 +15,13 @@ import sys
 import time
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from PIL import Image
 from torch.utils.tensorboard import SummaryWriter
 
-from airhockey_marl.board import board_of, conclude, introduce
+from airhockey_marl.board import add_picture, board_of, conclude, introduce
 from airhockey_marl.building import build
 from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts, require_numbers
 from airhockey_marl.files import replacing, write_json
@@ -107,10 +105,9 @@ def log_to_tensorboard(
             for metric, mean in row.dropna().items():
                 writer.add_scalar(f"study/{metric}/{condition}", mean, 0)
         histograms.log(writer)
-        with Image.open(folder / "figure6.png") as picture:
-            writer.add_image("figure/figure6", np.asarray(picture.convert("RGB")), 0, dataformats="HWC")
-        scores = {metric: means[metric].mean() for metric in ("win_rate", "mean_smash_speed", "defense_rate")}
-        conclude(writer, cfg, scores | {"replicated": float((findings == "replicated").sum())})
+        add_picture(writer, "figure/figure6", (folder / "figure6.png").read_bytes(), 0)
+    scores = {metric: means[metric].mean() for metric in ("win_rate", "mean_smash_speed", "defense_rate")}
+    conclude(folder, cfg, scores | {"replicated": float((findings == "replicated").sum())})
 
 
 if __name__ == "__main__":
