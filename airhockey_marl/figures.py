@@ -151,7 +151,8 @@ def win_rates_figure(matches: pd.DataFrame) -> Figure:
     axes.set_facecolor("#E3E3E3")
     ends = (first - 0.5, last + 0.5, k - 0.5, -0.5)
     image = axes.imshow(shares, cmap=LOSS_TO_WIN, vmin=0, vmax=1, extent=ends, aspect="auto", interpolation="nearest")
-    figure.colorbar(image, ax=axes, label="decided rounds won", ticks=[0, 0.5, 1], format=PercentFormatter(1))
+    scale = {"ticks": [0, 0.5, 1], "format": PercentFormatter(1, symbol=" %")}
+    figure.colorbar(image, ax=axes, label="decided rounds won", **scale)
     axes.set_yticks(range(k), map(str, opponents), fontsize=9)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     if 0 < len(scripts) < k:
