@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import yaml
 from omegaconf import DictConfig, OmegaConf
 from PIL import Image
 from tensorboard.compat.proto.summary_pb2 import Summary
@@ -30,31 +31,46 @@ VOCABULARY = {
     "report/*": "pictures: payoff (who beats whom), rating, precision, and match, a film",
     "maml/*": "per epoch: loss of Eq. 3 after adaptation (Eq. 2), and loss_before it",
     "supervised/*": "per epoch: loss of Eq. 3 without meta-learning",
-    "study/*": "mean of a metric over people, by condition: study/<metric>/<condition>; rates are shares from 0 to 1, "
-    "mean_smash_speed is in m/s, mean_disagreement in N, ratings are from 1 to 7",
+    "study/*": "mean of a metric over people, study/<metric>/<condition>; x is the condition, (a) to (i) as 1 to 9; "
+    "rates are shares from 0 to 1, mean_smash_speed is in m/s, mean_disagreement in N, ratings are from 1 to 7",
+    "means/text_summary": "the same as a table",
     "force/*": "histogram of the size of the force in N, every tick of everybody's game, by condition",
     "w_*": "histogram of a weight (w_unc_optimal, w_unc_user, w_sim), ditto, by condition that uses it",
     "figure/*": "pictures of a study: figure6",
-    "score/*": "what a finished run is judged by, the metrics of the HPARAMS page: shares of decided rounds, speeds in "
-    "m/s, losses of Eq. 3, rmse in units of action, and how many of the paper's findings are replicated",
+    "score/*": "what a finished run is judged by, the metrics of the HPARAMS page: shares of decided rounds, of a "
+    "league's last generation against_<script> and against an older generation_<number>; mean_smash_speed in m/s; losses "
+    "of Eq. 3, and rmse in units of action; how many of the paper's findings are replicated",
     "card/text_summary": "the resolved configuration",
     "names/text_summary": "this table",
 }
 LAYOUT = {
     "League": {
-        "rounds won against": ["Multiline", [r"win_rate_against/.*"]],
-        "trust region": ["Multiline", [r"update/(kl|gain|step)$"]],
-        "STD of actions": ["Multiline", [r"update/std$", r"std/.*"]],
-        "critic": ["Multiline", [r"update/critic_loss$"]],
-        "ratings": ["Multiline", [r"rating/.*"]],
+        "share of rounds won against scripts": ["Multiline", [r"win_rate_against/[a-z]+$"]],
+        "share of rounds won against generations": ["Multiline", [r"win_rate_against/\d+$"]],
+        "STD of actions, in units of action": ["Multiline", [r"update/std$"]],
+        "KL divergence of an update, and gain": ["Multiline", [r"update/(kl|gain)$"]],
+        "share of TRPO's full step": ["Multiline", [r"update/step$"]],
+        "loss of the critic": ["Multiline", [r"update/critic_loss$"]],
+    },
+    "League report": {
+        "ratings, in Elo points": ["Multiline", [r"rating/.*"]],
+        "STD by situation, in units of action": ["Multiline", [r"std/.*"]],
+        "share of shots saved": ["Multiline", [r"save_rate/.*"]],
     },
     "User models": {
-        "meta-learning, loss of Eq. 3": ["Multiline", [r"maml/loss", r"maml/loss_before"]],
-        "without, loss of Eq. 3": ["Multiline", [r"supervised/loss"]],
+        "loss of Eq. 3, with meta-learning": ["Multiline", [r"maml/loss$", r"maml/loss_before$"]],
+        "loss of Eq. 3, without": ["Multiline", [r"supervised/loss$"]],
+    },
+    "Study: conditions (a) to (i) from left to right": {
+        "share of rounds won": ["Multiline", [r"study/win_rate/.*"]],
+        "mean smash speed, in m/s": ["Multiline", [r"study/mean_smash_speed/.*"]],
+        "share of shots stopped": ["Multiline", [r"study/defense_rate/.*"]],
+        "mean disagreement, in N": ["Multiline", [r"study/mean_disagreement/.*"]],
+        "ratings by proxy, from 1 to 7": ["Multiline", [r"study/(helpfulness|naturalness|controllability|comfort)/.*"]],
     },
 }
 STAMPED = re.compile(r"(events\.out\.tfevents\.)(\d{10})(\..*)")
-NOT_SETTINGS = ("resume", "threads")  # how a run is run, not what it is
+NOT_SETTINGS = ("resume", "threads", "pictures_every", "_convert_", "_partial_")  # how a run is run, not what it is
 SCORES = "scores"  # the folder of what the HPARAMS page shows
 
 
@@ -69,11 +85,23 @@ def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     return leaves
 
 
+class Short(yaml.SafeDumper):
+    """Writes lists in one line, as the yaml files of `conf/` do."""
+
+
+Short.add_representer(list, lambda dumper, items: dumper.represent_sequence("tag:yaml.org,2002:seq", items, True))
+
+
+def verbatim(text: str) -> str:
+    """Markdown that shows a text as it is, line by line."""
+    return "".join(f"    {line}\n" for line in text.splitlines())
+
+
 def introduce(writer: SummaryWriter, cfg: DictConfig) -> None:
     """Log what a run is, once, as it begins: the layout of the CUSTOM SCALARS page, card and names on the TEXT page."""
     writer.add_custom_scalars(LAYOUT)
-    yaml = OmegaConf.to_yaml(cfg, resolve=True)
-    writer.add_text("card", "".join(f"    {line}\n" for line in yaml.splitlines()))  # indented: verbatim in markdown
+    tree = OmegaConf.to_container(cfg, resolve=True)
+    writer.add_text("card", verbatim(yaml.dump(tree, Dumper=Short, sort_keys=False, width=100)))
     rows = "".join(f"| `{tag.removesuffix('/text_summary')}` | {what} |\n" for tag, what in VOCABULARY.items())
     writer.add_text("names", f"| name | what it is |\n|---|---|\n{rows}")
 
@@ -104,7 +132,7 @@ def conclude(folder: Path | str, cfg: DictConfig, scores: Mapping[str, float], s
     settings = {
         name: value if isinstance(value, bool | int | float | str) else json.dumps(value)
         for name, value in flat(OmegaConf.to_container(cfg, resolve=True)).items()
-        if name not in NOT_SETTINGS
+        if name.rpartition(".")[2] not in NOT_SETTINGS
     }
     with open_board(board_of(folder) / SCORES, 0) as writer:  # 0: a run that ends again has its scores once
         for summary in hparams(settings, known)[1:]:  # without the description

@@ -146,7 +146,7 @@ def win_rates_figure(matches: pd.DataFrame) -> Figure:
     shares = np.full((k, last - first + 1), np.nan)  # not a number: not played, or none decided
     for row in matches[matches["won"] + matches["lost"] > 0].itertuples():
         shares[opponents.index(row.opponent), row.generation - first] = row.won / (row.won + row.lost)
-    figure = Figure(figsize=(9.2, 1.7 + 0.3 * k), layout="constrained")
+    figure = Figure(figsize=(4.6, 1.2 + 0.2 * k), layout="constrained")  # small: a card of TensorBoard is 350 px wide
     axes = figure.subplots()
     axes.set_facecolor("#E3E3E3")
     ends = (first - 0.5, last + 0.5, k - 0.5, -0.5)

@@ -92,7 +92,9 @@ def main(cfg: DictConfig) -> float:
         facts = card(cfg, league)
         write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **facts})
         scores = facts["win_rate_of_last_against"]
-        conclude(folder, cfg, {f"against_{name}": rate for name, rate in scores.items()}, facts["steps"])
+        # the page shows the first five by name until it is asked for others: the scripts come first
+        shown = {f"{'against' if name in ANCHORS else 'generation'}_{name}": rate for name, rate in scores.items()}
+        conclude(folder, cfg, shown, facts["steps"])
     return scores[JUDGE]
 
 

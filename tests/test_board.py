@@ -21,7 +21,7 @@ from airhockey_marl.board import LAYOUT, SCORES, VOCABULARY, add_picture, board_
 from airhockey_marl.files import load_tensors
 from guidance.conditions import Guided
 from guidance.histograms import BINS, Histograms
-from guidance.stats import METRICS
+from guidance.stats import CONDITIONS, METRICS
 from tests.test_cli import smoke
 
 SIZES = {"scalars": 0, "histograms": 0, "images": 0, "tensors": 0}
@@ -87,6 +87,7 @@ def test_settings_and_scores_lie_where_the_hparams_page_finds_them(runs, name):
     }
     assert set(found) == {"_hparams_/session_start_info", "_hparams_/session_end_info"}
     settings = found["_hparams_/session_start_info"].session_start_info.hparams
+    assert not [key for key in settings if key.endswith(("threads", "_partial_"))]
     assert settings["seed"].number_value == {"train": 0, "meta_train": 4, "evaluate": 3}[name]
     scores = {tag.removeprefix("score/"): events.Scalars(tag) for tag in events.Tags()["scalars"]}
     assert all(len(events) == 1 for events in scores.values())
@@ -96,7 +97,10 @@ def test_settings_and_scores_lie_where_the_hparams_page_finds_them(runs, name):
         return
     card = json.loads((runs / name / "card.json").read_text())
     if name == "train":
-        said = {f"against_{member}": share for member, share in card["win_rate_of_last_against"].items()}
+        said = {
+            f"{'against' if member in ANCHORS else 'generation'}_{member}": share
+            for member, share in card["win_rate_of_last_against"].items()
+        }
         assert {events[0].step for events in scores.values()} == {2000}
     else:
         said = card["on_nine_others"]
@@ -182,10 +186,15 @@ def test_the_layout_shows_what_there_is(runs):
 
 def test_a_study_shows_its_means_forces_and_weights(runs):
     events = events_of(runs / "evaluate")
-    means = pd.read_csv(runs / "evaluate" / "trials.csv").groupby("condition")[list(METRICS)].mean().stack()
-    shown = {tuple(tag.split("/")[1:]): events.Scalars(tag)[0].value for tag in events.Tags()["scalars"]}
-    for (condition, metric), mean in means.dropna().items():
-        assert shown[metric, condition] == pytest.approx(mean, rel=1e-5)
+    means = pd.read_csv(runs / "evaluate" / "trials.csv").groupby("condition")[list(METRICS)].mean()
+    shown = {tag: [(e.step, e.value) for e in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
+    for place, condition in enumerate(CONDITIONS, start=1):
+        for metric, mean in means.loc[condition].dropna().items():
+            assert shown.pop(f"study/{metric}/{condition}") == [(place, pytest.approx(mean, rel=1e-5))]
+    assert not shown
+    (table,) = events.Tensors("means/text_summary")
+    (row,) = [line for line in table.tensor_proto.string_val[0].decode().splitlines() if "(b) OAHG " in line]
+    assert row.startswith("    ") and f"{means.loc['oahg', 'win_rate']:.2f}" in row
     force = {tag.split("/")[1]: events.Histograms(tag)[0].histogram_value for tag in histograms(events, "force")}
     assert len(force) == 9 and force["nhg"].sum == 0 and force["nhg"].max == pytest.approx(3 / BINS)
     assert force["oahg"].num > 500 and 0.5 < force["oahg"].sum / force["oahg"].num < 3
