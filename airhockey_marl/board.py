@@ -38,8 +38,8 @@ VOCABULARY = {
     "w_*": "histogram of a weight (w_unc_optimal, w_unc_user, w_sim), ditto, by condition that uses it",
     "figure/*": "pictures of a study: figure6",
     "score/*": "what a finished run is judged by, the metrics of the HPARAMS page: shares of decided rounds, of a "
-    "league's last generation against_<script> and against an older generation_<number>; mean_smash_speed in m/s; losses "
-    "of Eq. 3, and rmse in units of action; how many of the paper's findings are replicated",
+    "league's last generation against a script (against_striker) and an older one (generation_0); mean_smash_speed in "
+    "m/s; losses of Eq. 3, and rmse in units of action; how many of the paper's findings are replicated",
     "card/text_summary": "the resolved configuration",
     "names/text_summary": "this table",
 }

@@ -194,7 +194,7 @@ def test_a_study_shows_its_means_forces_and_weights(runs):
     assert not shown
     (table,) = events.Tensors("means/text_summary")
     (row,) = [line for line in table.tensor_proto.string_val[0].decode().splitlines() if "(b) OAHG " in line]
-    assert row.startswith("    ") and f"{means.loc['oahg', 'win_rate']:.2f}" in row
+    assert row.startswith("    ") and f" {means.loc['oahg', 'mean_disagreement']:.2f} |" in row
     force = {tag.split("/")[1]: events.Histograms(tag)[0].histogram_value for tag in histograms(events, "force")}
     assert len(force) == 9 and force["nhg"].sum == 0 and force["nhg"].max == pytest.approx(3 / BINS)
     assert force["oahg"].num > 500 and 0.5 < force["oahg"].sum / force["oahg"].num < 3
