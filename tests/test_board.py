@@ -11,8 +11,13 @@ import pytest
 import torch
 import yaml
 from PIL import Image
+from tensorboard.backend.event_processing.data_provider import MultiplexerDataProvider
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from tensorboard.backend.event_processing.plugin_event_multiplexer import EventMultiplexer
+from tensorboard.context import RequestContext
+from tensorboard.plugins.base_plugin import TBContext
 from tensorboard.plugins.custom_scalar.layout_pb2 import Layout
+from tensorboard.plugins.hparams.backend_context import Context
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from torch.utils.tensorboard import SummaryWriter
 
@@ -105,6 +110,19 @@ def test_settings_and_scores_lie_where_the_hparams_page_finds_them(runs, name):
     else:
         said = card["on_nine_others"]
     assert {score: events[0].value for score, events in scores.items()} == pytest.approx(said, abs=1e-3)
+
+
+def test_the_hparams_page_of_all_runs_has_every_commands_settings_and_scores(runs):
+    """As TensorBoard gathers them: what differs comes first, and the scores are the only metrics."""
+    multiplexer = EventMultiplexer().AddRunsFromDirectory(str(runs)).Reload()
+    gathered = Context(TBContext(data_provider=MultiplexerDataProvider(multiplexer, str(runs))))
+    tags = gathered.hparams_metadata(RequestContext(), "")
+    page = gathered.experiment_from_metadata(RequestContext(), "", True, tags, None)
+    settings = [info.name for info in page.hparam_infos]
+    assert settings[:2] == ["hidden", "seed"] and {"gamma", "maml.inner_lr", "guidance.lookahead"} <= set(settings)
+    metrics = {metric.name.tag for metric in page.metric_infos}
+    assert metrics == {tag for name in SCORED for tag in events_of(runs / name, SCORES).Tags()["scalars"]}
+    assert {"score/against_striker", "score/after_ua_loss", "score/replicated"} <= metrics
 
 
 def test_a_training_shows_its_matches_a_film_and_a_heat_map(runs):
