@@ -6,6 +6,7 @@ VOCABULARY explains every tag that any command writes; the tests hold the event 
 import io
 import json
 import re
+import threading
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -158,4 +159,11 @@ def open_board(folder: Path, purge_step: int) -> SummaryWriter:
         oldest_left = now - (len(stamped) - place)
         if int(second) > oldest_left:
             path.rename(path.with_name(f"{prefix}{oldest_left:010d}{rest}"))
+    threading.excepthook = _said_once
     return SummaryWriter(str(folder), purge_step=purge_step)
+
+
+def _said_once(args: threading.ExceptHookArgs) -> None:
+    """Say what has ended a thread, unless it is TensorBoard's: whoever writes or flushes next is given its error."""
+    if not (isinstance(args.exc_value, OSError) and type(args.thread).__module__.startswith("tensorboard.")):
+        threading.__excepthook__(args)

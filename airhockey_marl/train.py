@@ -32,7 +32,7 @@ from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import InputError, command, config_of, input_errors, require_counts, require_numbers
 from airhockey_marl.env import make_env, serve_streams
-from airhockey_marl.files import write_json, write_text
+from airhockey_marl.files import saying, write_json, write_text
 from airhockey_marl.guards import stopping
 from airhockey_marl.league import League, Member
 from airhockey_marl.learner import Algorithm
@@ -158,11 +158,12 @@ def train(
         rates = {str(opponent): result.win_rate for opponent, result in results.items()}
         scalars = {f"update/{name}": value for name, value in metrics.items()}
         scalars |= {f"win_rate_against/{name}": value for name, value in rates.items()}
-        for name, value in {**scalars, "speed/steps_per_s": step / seconds}.items():
-            board.add_scalar(name, value, step)
-        if cfg.pictures_every and (generation % cfg.pictures_every == 0 or generation == cfg.generations):
-            show(board, pool.league, matches, cfg.seed, cfg.env.decision_ticks, step)
-        board.flush()
+        with saying(board_of(folder)):
+            for name, value in {**scalars, "speed/steps_per_s": step / seconds}.items():
+                board.add_scalar(name, value, step)
+            if cfg.pictures_every and (generation % cfg.pictures_every == 0 or generation == cfg.generations):
+                show(board, pool.league, matches, cfg.seed, cfg.env.decision_ticks, step)
+            board.flush()
         pool.league.save(folder / LEAGUE)
         write_text(folder / MATCHES, pd.DataFrame(matches).to_csv(index=False))
         facts = {"generation": generation, "matches": matches, "goals": list(pool.goals.items()), "seconds": seconds}
