@@ -1,6 +1,7 @@
 # Everything runs in .venv, made on first use.
 PYTHON ?= python3
 BIN := .venv/bin
+RUNS ?= $(or $(AIRHOCKEY_OUTPUTS),outputs)
 
 .PHONY: study test test-slow bench board audit lint clean help
 
@@ -21,8 +22,8 @@ bench: .venv/installed .venv/compiled  ## speeds of this machine, as one JSON ob
 	@$(BIN)/python -m pip download --quiet --no-deps --no-binary :all: --dest .venv/peers learn2learn==0.2.0 || true
 	@$(BIN)/python -m tests.benchmarks
 
-board: .venv/installed  ## TensorBoard on outputs/
-	$(BIN)/tensorboard --logdir outputs
+board: .venv/installed  ## TensorBoard on outputs/, or on some of it: make board RUNS=outputs/train
+	$(BIN)/tensorboard --logdir $(RUNS)
 
 audit: .venv/installed  ## known vulnerabilities of what is pinned; asks the network
 	$(PYTHON) -m venv .venv/audit

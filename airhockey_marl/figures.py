@@ -10,12 +10,12 @@ import torch
 from matplotlib.axes import Axes
 from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, PercentFormatter
+from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 from PIL import Image
 
 from airhockey_marl.env import SEATS, AirHockey
-from airhockey_marl.league import Member
-from airhockey_marl.match import DECISION_TICKS, Player
+from airhockey_marl.league import League, Member
+from airhockey_marl.match import DECISION_TICKS, sampled
 from airhockey_marl.precision import SITUATIONS
 from airhockey_marl.ratings import Share, win_rates
 from airhockey_marl.render import draw_table
@@ -134,6 +134,35 @@ def matches_figure(matches: pd.DataFrame, window: int = 5) -> Figure:
     return figure
 
 
+def win_rates_figure(matches: pd.DataFrame) -> Figure:
+    """The heat map of who won what when it was new: a column per generation, a row per opponent; blue wins.
+
+    Args:
+        matches: see `ratings.MATCHES`.
+    """
+    scripts = [member for member in dict.fromkeys(matches["opponent"]) if isinstance(member, str)]
+    opponents = [*sorted(set(matches["opponent"]) - set(scripts)), *scripts]
+    first, last, k = matches["generation"].min(), matches["generation"].max(), len(opponents)
+    shares = np.full((k, last - first + 1), np.nan)  # not a number: not played, or none decided
+    for row in matches[matches["won"] + matches["lost"] > 0].itertuples():
+        shares[opponents.index(row.opponent), row.generation - first] = row.won / (row.won + row.lost)
+    figure = Figure(figsize=(4.6, 1.2 + 0.2 * k), layout="constrained")  # small: a card of TensorBoard is 350 px wide
+    axes = figure.subplots()
+    axes.set_facecolor("#E3E3E3")
+    ends = (first - 0.5, last + 0.5, k - 0.5, -0.5)
+    image = axes.imshow(shares, cmap=LOSS_TO_WIN, vmin=0, vmax=1, extent=ends, aspect="auto", interpolation="nearest")
+    scale = {"ticks": [0, 0.5, 1], "format": PercentFormatter(1, symbol=" %")}
+    figure.colorbar(image, ax=axes, label="decided rounds won", **scale)
+    axes.set_yticks(range(k), map(str, opponents), fontsize=9)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    if 0 < len(scripts) < k:
+        axes.axhline(k - len(scripts) - 0.5, color=INK, linewidth=0.9)
+    axes.set_xlabel("generation, when it was the newest")
+    axes.set_ylabel("against generation (or script)")
+    axes.spines[:].set_visible(False)
+    return figure
+
+
 def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndarray], table: Table) -> Figure:
     """The mean STD in each situation with its interval, and over the puck's place.
 
@@ -189,16 +218,29 @@ def best_response_figure(results: Sequence[tuple[int, Share]]) -> Figure:
     return figure
 
 
+def png(figure: Figure, dpi: int = 150) -> bytes:
+    """A figure as PNG; the same one gives the same bytes."""
+    figure.savefig(content := io.BytesIO(), dpi=dpi, metadata={"Software": None})
+    return content.getvalue()
+
+
 @torch.no_grad()
 def film(
-    left: Player,
-    right: Player,
+    league: League,
+    members: tuple[Member, Member],
     seed: int,
     seconds: float = 10.0,
     width: int = 320,
     decision_ticks: int = DECISION_TICKS,
 ) -> bytes:
-    """An animated GIF of a match, round after round, a picture per decision."""
+    """An animated GIF of a match between two members, left and right: round after round, a picture per decision.
+
+    Both sample, as in training, with random numbers of their own that follow from the seed.
+    """
+    left, right = (
+        sampled(league.lineup([member]), torch.Generator().manual_seed(seed + seat))
+        for seat, member in enumerate(members)
+    )
     game = AirHockey(decision_ticks=decision_ticks)
     seen, _ = game.reset(seed)
     between = decision_ticks * game.tables.table.tick

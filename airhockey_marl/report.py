@@ -4,7 +4,6 @@
 """
 
 import base64
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -12,15 +11,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-import torch
-from tensorboard.compat.proto.summary_pb2 import Summary
 from torch.utils.tensorboard import SummaryWriter
 
 from airhockey_marl import figures
+from airhockey_marl.board import add_picture
 from airhockey_marl.files import replacing, write_json, write_text
 from airhockey_marl.findings import ATTACKER, BELOW, KEEPER, LATER_THAN, Effort, Findings, measure
 from airhockey_marl.league import League
-from airhockey_marl.match import DECISION_TICKS, Result, sampled
+from airhockey_marl.match import DECISION_TICKS, Result
 from airhockey_marl.page import number, template
 from airhockey_marl.precision import FAR, SAVE_SECONDS, STRIKE_SECONDS
 from airhockey_marl.ratings import Gain, Share
@@ -57,11 +55,8 @@ def write_report(
     """
     folder = Path(folder)
     found = measure(league, matches, effort, seed, best_response, decision_ticks, progress)
-    seats = [
-        sampled(league.lineup([member]), torch.Generator().manual_seed(seed + seat))
-        for seat, member in enumerate((found.last, found.strongest))
-    ]
-    pictures = draw(found, matches) | {"match.gif": figures.film(*seats, seed, decision_ticks=decision_ticks)}
+    film = figures.film(league, (found.last, found.strongest), seed, decision_ticks=decision_ticks)
+    pictures = draw(found, matches) | {"match.gif": film}
     for name, content in pictures.items():
         with replacing(folder / name) as path:
             path.write_bytes(content)
@@ -84,11 +79,7 @@ def draw(found: Findings, matches: pd.DataFrame | None) -> dict[str, bytes]:
         drawn["matches.png"] = figures.matches_figure(matches)
     if found.best_response:
         drawn["best_response.png"] = figures.best_response_figure(found.best_response)
-    pictures = {}
-    for name, figure in drawn.items():
-        figure.savefig(content := io.BytesIO(), dpi=150, metadata={"Software": None})
-        pictures[name] = content.getvalue()
-    return pictures
+    return {name: figures.png(figure) for name, figure in drawn.items()}
 
 
 def log_to_tensorboard(writer: SummaryWriter, folder: Path | str, found: Findings, step: int) -> None:
@@ -115,10 +106,7 @@ def log_to_tensorboard(writer: SummaryWriter, folder: Path | str, found: Finding
         if np.isfinite(value):
             writer.add_scalar(name, value, when)
     for file in ("payoff.png", "rating.png", "precision.png", "match.gif"):
-        # add_video makes a GIF with a moviepy of before version 2, and logs its bytes like this
-        image = Summary.Image(encoded_image_string=(Path(folder) / file).read_bytes())
-        value = Summary.Value(tag=f"report/{file.partition('.')[0]}", image=image)
-        writer._get_file_writer().add_summary(Summary(value=[value]), step)
+        add_picture(writer, f"report/{file.partition('.')[0]}", (Path(folder) / file).read_bytes(), step)
 
 
 class Line(NamedTuple):

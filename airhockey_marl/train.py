@@ -9,8 +9,8 @@
 
 Writes into its run folder: league.safetensors (every generation), matches.csv (each generation against some before it
 and the scripted anchors), card.json (what it is, and how it plays), and what TensorBoard reads. All is written again
-after each generation, whole, and so is state.safetensors, from which `resume` goes on: weights, matches and
-TensorBoard's scalars end bit for bit as those of a run that was never stopped (but for `speed/`, which is the clock's).
+after each generation, whole, and so is state.safetensors, from which `resume` goes on: weights, matches and what
+TensorBoard shows end bit for bit as those of a run that was never stopped (but for `speed/`, which is the clock's).
 """
 
 import sys
@@ -26,8 +26,9 @@ from omegaconf import DictConfig, OmegaConf
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
+from airhockey_marl import figures
 from airhockey_marl.anchors import ANCHORS
-from airhockey_marl.board import board_of, conclude, introduce, open_board
+from airhockey_marl.board import add_picture, board_of, conclude, introduce, open_board
 from airhockey_marl.building import build
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import (
@@ -40,7 +41,7 @@ from airhockey_marl.cli import (
     require_numbers,
 )
 from airhockey_marl.collecting import Collecting, Crew
-from airhockey_marl.files import write_json, write_text
+from airhockey_marl.files import saying, write_json, write_text
 from airhockey_marl.guards import stopping
 from airhockey_marl.league import League, Member
 from airhockey_marl.learner import Algorithm, Learner
@@ -54,6 +55,7 @@ LEAGUE, MATCHES, STATE = "league.safetensors", "matches.csv", "state.safetensors
 FACTS = {"generation": int, "matches": list, "goals": list, "seconds": float}  # of the state
 JUDGE = "striker"  # of the scripts: the strongest
 CARD_ROUNDS = 25  # times as many rounds as in training, for the scores on the card
+FILM_SECONDS, FILM_WIDTH = 6.0, 240  # of play, and pixels
 SEEDS_APART = 100_000  # more than there are tables in a match, each of which has a seed of its own
 
 
@@ -67,7 +69,7 @@ def check(cfg: DictConfig) -> None:
     require_counts(cfg, *counts, "env.tables", "env.decision_ticks", "league.opponents")
     require_counts(cfg, "league.match_rounds", "league.match_every")
     require_device(cfg)
-    require_counts(cfg, "seed", "shaping.generations", least=0)
+    require_counts(cfg, "seed", "shaping.generations", "pictures_every", least=0)
     require_numbers(cfg, "gamma", "league.memory", at_most=1.0)
     require_numbers(cfg, "env.round_seconds")
     require_numbers(cfg, *(f"shaping.{name}" for name in ("position", "velocity", "shot", "approach")), least=0.0)
@@ -102,8 +104,9 @@ def main(cfg: DictConfig) -> float:
         facts = card(cfg, league)
         write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **facts})
         scores = facts["win_rate_of_last_against"]
-        with SummaryWriter(str(board_of(folder))) as board:
-            conclude(board, cfg, {f"against_{name}": rate for name, rate in scores.items()}, facts["steps"])
+        # the page shows the first five by name until it is asked for others: the scripts come first
+        shown = {f"{'against' if name in ANCHORS else 'generation'}_{name}": rate for name, rate in scores.items()}
+        conclude(folder, cfg, shown, facts["steps"])
     return scores[JUDGE]
 
 
@@ -166,9 +169,12 @@ def train(
         rates = {str(opponent): result.win_rate for opponent, result in results.items()}
         scalars = {f"update/{name}": value for name, value in metrics.items()}
         scalars |= {f"win_rate_against/{name}": value for name, value in rates.items()}
-        for name, value in {**scalars, "speed/steps_per_s": step / seconds}.items():
-            board.add_scalar(name, value, step)
-        board.flush()
+        with saying(board_of(folder)):
+            for name, value in {**scalars, "speed/steps_per_s": step / seconds}.items():
+                board.add_scalar(name, value, step)
+            if cfg.pictures_every and (generation % cfg.pictures_every == 0 or generation == cfg.generations):
+                show(board, pool.league, matches, cfg.seed, cfg.env.decision_ticks, step)
+            board.flush()
         pool.league.save(folder / LEAGUE)
         write_text(folder / MATCHES, pd.DataFrame(matches).to_csv(index=False))
         facts = {"generation": generation, "matches": matches, "goals": list(pool.goals.items()), "seconds": seconds}
@@ -176,6 +182,16 @@ def train(
         bar.set_postfix({name: f"{rates[name]:.2f}" for name in ("0", *ANCHORS)})
     board.close()
     return pool.league, time.perf_counter() - began
+
+
+def show(board: SummaryWriter, league: League, matches: list[dict], seed: int, decision_ticks: int, step: int) -> None:
+    """Log the newest generation against the strongest script, as a film, and all matches so far, as a heat map.
+
+    The random numbers are the film's own: the league is the same with pictures and without.
+    """
+    seats, how = (len(league) - 1, JUDGE), {"decision_ticks": decision_ticks, "width": FILM_WIDTH}
+    add_picture(board, "league/film", figures.film(league, seats, seed, FILM_SECONDS, **how), step)
+    add_picture(board, "league/win_rates", figures.png(figures.win_rates_figure(pd.DataFrame(matches)), 100), step)
 
 
 def references(generation: int, every: int) -> list[Member]:

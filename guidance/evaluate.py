@@ -14,16 +14,15 @@ figure6.png and .svg, report.html, manifest.json (configuration, seeds, models, 
 import sys
 import time
 from pathlib import Path
+from string import ascii_lowercase
 
-import numpy as np
 import pandas as pd
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from PIL import Image
 from torch.utils.tensorboard import SummaryWriter
 
-from airhockey_marl.board import board_of, conclude, introduce
+from airhockey_marl.board import add_picture, board_of, conclude, introduce, verbatim
 from airhockey_marl.building import build
 from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts, require_device, require_numbers
 from airhockey_marl.files import replacing, write_json
@@ -32,7 +31,7 @@ from guidance.games import Protocol
 from guidance.histograms import Histograms
 from guidance.provenance import chosen_conditions, chosen_models, chosen_opponent, hashes_of, manifest
 from guidance.report import screen_table, write_report
-from guidance.stats import METRICS, compare_with_paper
+from guidance.stats import METRICS, compare_with_paper, conditions_of
 from guidance.study import NINE, balanced, run_study, williams
 from guidance.users import Population, load_mentors, sample_people
 from guidance.users.rating import RATINGS
@@ -101,14 +100,15 @@ def log_to_tensorboard(
     findings = findings.loc[findings["paper"] == "significant", "outcome"]
     with SummaryWriter(str(board_of(folder))) as writer:
         introduce(writer, cfg)
-        for condition, row in means.iterrows():
-            for metric, mean in row.dropna().items():
-                writer.add_scalar(f"study/{metric}/{condition}", mean, 0)
+        for name, condition in conditions_of(trials).items():
+            place = 1 + ascii_lowercase.index(condition.letter)  # side by side; each a curve, or they would be smoothed
+            for metric, mean in means.loc[name].dropna().items():
+                writer.add_scalar(f"study/{metric}/{name}", mean, place)
+        writer.add_text("means", verbatim(screen_table(trials)))
         histograms.log(writer)
-        with Image.open(folder / "figure6.png") as picture:
-            writer.add_image("figure/figure6", np.asarray(picture.convert("RGB")), 0, dataformats="HWC")
-        scores = {metric: means[metric].mean() for metric in ("win_rate", "mean_smash_speed", "defense_rate")}
-        conclude(writer, cfg, scores | {"replicated": float((findings == "replicated").sum())})
+        add_picture(writer, "figure/figure6", (folder / "figure6.png").read_bytes(), 0)
+    scores = {metric: means[metric].mean() for metric in ("win_rate", "mean_smash_speed", "defense_rate")}
+    conclude(folder, cfg, scores | {"replicated": float((findings == "replicated").sum())})
 
 
 if __name__ == "__main__":

@@ -20,7 +20,6 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch import nn
-from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from airhockey_marl.board import board_of, conclude, introduce, open_board
@@ -90,7 +89,7 @@ def main(cfg: DictConfig) -> float:
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
 
     with locked(folder, "run"):
-        run(cfg, folder, population, mentors, opponent, meta, user)
+        return run(cfg, folder, population, mentors, opponent, meta, user)
 
 
 def run(
@@ -101,8 +100,12 @@ def run(
     opponent: nn.Module,
     meta: nn.Module,
     user: nn.Module,
-) -> None:
-    """Have people play, train both models on it, and write them down with how they predict others."""
+) -> float:
+    """Have people play, train both models on it, and write them down with how they predict others.
+
+    Returns:
+        The score by which they are judged.
+    """
     progress = ProgressBar()
 
     def play(people: np.ndarray, seed: int, what: str) -> Demonstrations:
@@ -124,9 +127,7 @@ def run(
     save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
     save_user_model(folder / "user.safetensors", user, facts)
     write_json(folder / "card.json", card(cfg, scores, seconds))
-    with SummaryWriter(str(board_of(folder) / "scores")) as board:
-        introduce(board, cfg)
-        conclude(board, cfg, scores)
+    conclude(folder, cfg, scores)
     return scores[JUDGE]
 
 
@@ -151,6 +152,8 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
     for name, train in (("maml", train_maml), ("supervised", train_supervised)):
         # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
         board = open_board(board_of(folder) / name, done[name] + 1)
+        if name == "maml" and not done[name]:
+            introduce(board, cfg)
         training = train(models[name], data, **cfg[name], optimizer=optimizers[name], done=done[name])
         bar = tqdm(training, name, cfg[name].epochs, initial=done[name], unit="epoch", file=sys.stderr, disable=None)
         with stopping(f"{name} training", folder / STATE):

@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from airhockey_marl.files import load_tensors
-from tests.test_cli import ROOT, scalars
+from tests.test_cli import ROOT, pictures, scalars
 
 TRAIN = ["airhockey_marl.train", "state.safetensors", "+preset=smoke", "steps_per_generation=500"]
 META = ["guidance.meta_train", "state.safetensors", "+preset=smoke", "demonstrations.ticks=400"]
 REPLICATE = ["guidance.replicate", "manifest.json", "+preset=smoke", "sensitivity.points=0", "together=1"]
 CASES = {
-    "train": [*TRAIN, "generations=30"],
+    "train": [*TRAIN, "generations=30", "pictures_every=3"],
     "meta_train": [*META, "maml.epochs=100", "supervised.epochs=60"],
     "replicate": [*REPLICATE, "n=20", "controls=3"],
 }
@@ -38,7 +38,7 @@ def kept(run: Path) -> dict[str, object]:
             found[name] = {key: value for key, value in facts.items() if key not in UNLIKE}
         elif "tfevents" in name:
             part = file.parent.relative_to(run / "tensorboard")
-            found[str(file.parent)[len(str(run)) :]] = scalars(run, str(part))
+            found[str(file.parent)[len(str(run)) :]] = scalars(run, str(part)), pictures(run, str(part))
         elif file.suffix != ".html":  # which has the manifest in it
             found[name] = file.read_bytes()
     return found

@@ -1,6 +1,7 @@
 """One process has a run folder; and a disk that is full, or a clock that jumps, costs nothing that was finished."""
 
 import os
+import re
 import resource
 import signal
 import subprocess
@@ -16,7 +17,7 @@ from airhockey_marl.files import Unwritten, load_tensors, save_tensors, write_te
 from airhockey_marl.lock import locked
 from tests.test_cli import ROOT, scalars
 
-TRAIN = ["airhockey_marl.train", "+preset=smoke", "steps_per_generation=500"]
+TRAIN = ["airhockey_marl.train", "+preset=smoke", "steps_per_generation=500", "pictures_every=0"]
 
 
 def command(*arguments: str, **options) -> subprocess.CompletedProcess:
@@ -98,10 +99,13 @@ def small_files() -> None:
 def test_a_file_that_becomes_too_large_stops_a_training_whose_state_stays(trained, whole, tmp_path):
     run = copy_of(trained, tmp_path / "run")
     before = state_of(run)
-    done = command("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log", preexec_fn=small_files)
-    assert done.returncode == 1
-    one_line(done, f"{run}/league.safetensors cannot be written: ", "What was saved before is as it was")
-    assert state_of(run) == before and not list(run.glob(".*.safetensors"))
+    file = run / ".hydra" / "config.yaml"
+    for every, name in ((1, "tensorboard"), (0, "league.safetensors")):  # a film is larger than a league
+        file.write_text(re.sub("pictures_every: .", f"pictures_every: {every}", file.read_text()))
+        done = command("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log", preexec_fn=small_files)
+        assert done.returncode == 1
+        one_line(done, f"{run}/{name} cannot be written: ", "What was saved before is as it was")
+        assert state_of(run) == before and not list(run.glob(".*.safetensors"))
     assert command("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log").returncode == 0
     assert load_tensors(run / "league.safetensors")[0].keys() == load_tensors(whole / "league.safetensors")[0].keys()
     assert state_of(run)["league.safetensors"] == state_of(whole)["league.safetensors"]
