@@ -5,6 +5,7 @@ Asked like this, a game comes out the same alone, among nine conditions and amon
 """
 
 from collections.abc import Mapping
+from itertools import pairwise
 from math import exp
 
 import numpy as np
@@ -12,6 +13,7 @@ import torch
 from numba import float32, njit
 from torch import Tensor, nn
 
+from airhockey_marl.checks import CPU, check_rows, check_tensors, kind_of
 from airhockey_marl.match import Player
 from airhockey_marl.parallel import over_rows
 from airhockey_marl.policy import PADDLE, GaussianPolicy
@@ -84,6 +86,10 @@ class RowByRow:
         if weights is None:
             weights = {name: tensor.unsqueeze(0) for name, tensor in policy.named_parameters()}
         names = [f"layers.{i}" for i, layer in enumerate(policy.layers) if isinstance(layer, nn.Linear)] + ["head"]
+        shapes = {}
+        for name, (wide, high) in zip(names, pairwise((12, *policy.hidden, 4)), strict=True):
+            shapes |= {f"{name}.weight": f"k {high} {wide}", f"{name}.bias": f"k {high}"}
+        check_tensors(CPU, **{f"weights.{name}": (weights.get(name), shape) for name, shape in shapes.items()})
         parts = [
             part
             for name in names
@@ -95,7 +101,14 @@ class RowByRow:
 
     def __call__(self, observation: np.ndarray, which: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Mean and STD (n, 2), float32, at observations (n, 12), of models `which` (n,) int64, of the first if None."""
+        floats = isinstance(observation, np.ndarray) and observation.dtype.kind == "f"
+        if not floats or observation.ndim != 2 or observation.shape[1] != 12:  # by hand: it is asked in every tick
+            raise ValueError(f"observation: {kind_of(observation)}, must be an array of floats of shape (n, 12)")
         n = len(observation)
+        if which is not None:
+            check_rows("which", which, len(self._weights))
+            if len(which) != n:
+                raise ValueError(f"which: of {len(which)} rows, must be of {n} as observation")
         # Model by model: the models of many users do not fit into a cache, and each is fetched once.
         rows = np.arange(n) if which is None else np.argsort(which, kind="stable")
         which = np.zeros(n, dtype=np.int64) if which is None else which

@@ -5,11 +5,13 @@ import hashlib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
 from airhockey_marl.anchors import ANCHORS
+from airhockey_marl.checks import check_tensors
 from airhockey_marl.files import load_tensors, save_tensors
 from airhockey_marl.policy import GaussianPolicy
 
@@ -43,14 +45,16 @@ class League:
         Raises:
             ValueError: there is no such generation.
         """
-        if not -len(self) <= index < len(self):
+        if not isinstance(index, int | np.integer) or not -len(self) <= index < len(self):
             raise ValueError(f"generation = {index} must be below {len(self)}, the number of generations")
         return self.snapshots[index]
 
     def until(self, index: int) -> "League":
-        """The league as it was when generation `index` was its newest."""
+        """The league as it was when generation `index` was its newest; see `generation` for the index."""
+        self.generation(index)
         league = League(self.policy)
-        league.snapshots, league.hashes = self.snapshots[: index + 1], self.hashes[: index + 1]
+        many = index % len(self) + 1
+        league.snapshots, league.hashes = self.snapshots[:many], self.hashes[:many]
         return league
 
     def player(self, index: int) -> GaussianPolicy:
@@ -169,6 +173,7 @@ class Lineup(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""
+        check_tensors(observation=(observation, "n ... 12"))
         if len(observation) % len(self.members):
             raise ValueError(
                 f"observation: {len(observation)} tables, must be a multiple of {len(self.members)} members"
