@@ -173,7 +173,7 @@ class Lineup(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""
-        check_tensors(observation=(observation, "n ... 12"))
+        check_tensors(observation=(observation, "... 12"))
         if len(observation) % len(self.members):
             raise ValueError(
                 f"observation: {len(observation)} tables, must be a multiple of {len(self.members)} members"

@@ -167,7 +167,7 @@ class Tables:
             ValueError: a shape, a type or a number is another one: compiled code would write where nothing is.
         """
         if not isinstance(actions, np.ndarray) or actions.shape != (self.n, 2, 2) or actions.dtype.kind != "f":
-            raise ValueError(f"actions: {kind_of(actions)}, must be floats of shape {(self.n, 2, 2)}")
+            raise ValueError(f"actions: {kind_of(actions)}, must be an array of floats of shape {(self.n, 2, 2)}")
         if rows is None:
             rows = self._all
         else:
@@ -192,6 +192,6 @@ class Tables:
         if seat not in (LEFT, RIGHT):
             raise ValueError(f"seat = {seat!r} must be {LEFT} or {RIGHT}")
         if not isinstance(out, np.ndarray) or out.shape != (self.n, 12) or out.dtype.kind != "f":
-            raise ValueError(f"out: {kind_of(out)}, must be floats of shape {(self.n, 12)}")
+            raise ValueError(f"out: {kind_of(out)}, must be an array of floats of shape {(self.n, 12)}")
         observe(self.bodies, seat, out)
         return out
