@@ -32,10 +32,10 @@ def check_tensors(on: torch.device | None = None, **named: tuple[Tensor, str]) -
     for name, (tensor, wanted) in named.items():
         if not isinstance(tensor, Tensor) or not tensor.is_floating_point():
             raise ValueError(f"{name}: {kind_of(tensor)}, must be a floating point tensor")
-        on = on or tensor.device
-        if tensor.device != on:
-            raise ValueError(f"{name}: on {tensor.device}, must be on {on}")
-        _check_shape(name, tensor.shape, wanted, known)
+        if tensor.device != (on := on or tensor.device):
+            raise ValueError(f"{name}: on {tensor.device}, must be on {on}{_beside(name, named)}")
+        if trouble := _misfit(tensor.shape, wanted, known):
+            raise ValueError(f"{name}: {trouble}{_beside(name, named)}")
 
 
 def check_arrays(kinds: str = "fiu", **named: tuple[np.ndarray, str]) -> None:
@@ -52,7 +52,8 @@ def check_arrays(kinds: str = "fiu", **named: tuple[np.ndarray, str]) -> None:
     for name, (array, wanted) in named.items():
         if not isinstance(array, np.ndarray) or array.dtype.kind not in kinds:
             raise ValueError(f"{name}: {kind_of(array)}, must be an array of {KINDS[kinds]}")
-        _check_shape(name, array.shape, wanted, known)
+        if trouble := _misfit(array.shape, wanted, known):
+            raise ValueError(f"{name}: {trouble}{_beside(name, named)}")
 
 
 def check_rows(name: str, rows: np.ndarray, n: int) -> None:
@@ -107,8 +108,8 @@ def kind_of(value: Any) -> str:
     return type(value).__name__
 
 
-def _check_shape(name: str, shape: tuple[int, ...], wanted: str, known: dict[str, Any]) -> None:
-    """Compare a shape with the one wanted, and with the sizes that are known from others; add its own to them."""
+def _misfit(shape: tuple[int, ...], wanted: str, known: dict[str, Any]) -> str | None:
+    """What is wrong with a shape, beside the sizes that are known from others; None if it fits, and adds its own."""
     words = wanted.split()
     leading = words[0] == "..." if words else False
     sizes = words[leading:]
@@ -121,8 +122,15 @@ def _check_shape(name: str, shape: tuple[int, ...], wanted: str, known: dict[str
             fits &= own.setdefault(word, size) == size and (not word.isdigit() or size == int(word))
         fits &= all(known.get(word, size) == size for word, size in own.items())
     if not fits:
-        raise ValueError(f"{name}: shape {tuple(shape)}, must be {_in_words(words, known)}")
+        return f"shape {tuple(shape)}, must be {_in_words(words, known)}"
     known.update(own)
+    return None
+
+
+def _beside(name: str, named: Mapping[str, Any]) -> str:
+    """Which arguments came before, that this one must go with."""
+    before = list(named)[: list(named).index(name)]
+    return f" beside {', '.join(before)}" if before else ""
 
 
 def _in_words(words: list[str], known: Mapping[str, Any]) -> str:

@@ -153,6 +153,7 @@ class AirHockeyTables(EnvBase):
         seed: int | None = None,
     ) -> None:
         check_counts(tables=n)
+        check_counts(0, seed=0 if seed is None else seed)
         super().__init__(device="cpu", batch_size=[n])
         self.tables = Tables(n, table)
         self.decision_ticks = decision_ticks
@@ -223,6 +224,7 @@ def make_env(
         ValueError: an unknown backend.
     """
     check_counts(tables=tables)
+    check_counts(0, seed=seed)
     if backend == "batched":
         return AirHockeyTables(tables, round_seconds, decision_ticks, table, seed)
     if backend == "pettingzoo":

@@ -109,5 +109,6 @@ def play_matches(
 
 def play_match(left: Player, right: Player, rounds: int, seed: int, **options: Any) -> Result:
     """Play `rounds` rounds side by side, one per table; see `play_rounds` for the options."""
+    check_counts(rounds=rounds)
     (result,) = play_matches(left, right, 1, rounds, 1, seed, **options)
     return result

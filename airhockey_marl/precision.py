@@ -69,7 +69,7 @@ def record(
 ) -> Play:
     """Let a policy play, sampled as in training, and write down what it saw, meant and did for `seconds` per table."""
     check_counts(0, seed=seed)
-    check_numbers(seconds=seconds)
+    check_numbers(above=0.0, seconds=seconds)
     games, generator = Tables(tables, table), torch.Generator().manual_seed(seed)
     games.seed(seed)
     games.new_rounds()

@@ -200,6 +200,8 @@ def rate(wins: np.ndarray, reference: int, prior_rounds: float = PRIOR_ROUNDS) -
 def gains(members: Sequence[Member], wins: np.ndarray, over: Member) -> dict[Member, Gain]:
     """How far everybody is rated above `over`; see `rate`."""
     check_arrays(wins=(wins, f"{len(members)} {len(members)}"))
+    if over not in members:
+        raise ValueError(f"over = {over!r} must be one of {', '.join(map(str, members))}")
     rated = np.stack(rate(wins, list(members).index(over)), axis=1)
     return {member: Gain(*row) for member, row in zip(members, rated.tolist(), strict=True)}
 

@@ -123,6 +123,7 @@ def results_against(
     player: GaussianPolicy, opponents: Lineup, rounds: int, seed: int, decision_ticks: int
 ) -> dict[Member, Result]:
     """A match of one policy against each of a line-up of different members, each side sampling as in training."""
+    check_counts(rounds=rounds)
     check_counts(0, seed=seed)
     generator = torch.Generator().manual_seed(seed)
     left, right = sampled(player, generator), sampled(opponents, generator)

@@ -49,8 +49,10 @@ class Shaping:
     def reward(self, observation: Tensor, following: Tensor, terminated: Tensor, gamma: float) -> Tensor:
         """What to add to the reward of a transition: gamma phi(s') - phi(s), with phi(s') = 0 after the end."""
         check_tensors(observation=(observation, "... 12"), following=(following, "... 12"))
-        if terminated.dtype != torch.bool or terminated.shape != (*observation.shape[:-1], 1):
-            raise ValueError(f"terminated: {kind_of(terminated)}, must be bools {(*observation.shape[:-1], 1)}")
+        flags = isinstance(terminated, Tensor) and terminated.dtype == torch.bool
+        if not flags or terminated.shape != (*observation.shape[:-1], 1) or terminated.device != observation.device:
+            shape = (*observation.shape[:-1], 1)
+            raise ValueError(f"terminated: {kind_of(terminated)}, must be bools {shape} on {observation.device}")
         check_numbers(0.0, at_most=1.0, gamma=gamma)
         return gamma * self.potential(following) * ~terminated - self.potential(observation)
 

@@ -73,7 +73,7 @@ class FisherVectorProduct:
         )
 
     def __call__(self, vector: Tensor) -> Tensor:
-        check_tensors(vector=(vector, str(self.size)))
+        check_tensors(self.parameters[0].device, vector=(vector, str(self.size)))
         split, start = [], 0
         for parameter in self.parameters:
             split.append(vector[start : start + parameter.numel()].view_as(parameter))

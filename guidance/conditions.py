@@ -67,6 +67,9 @@ class Spring:
 
     def force(self, action: Tensor, target: Tensor) -> Tensor:
         """Force (..., 2) in N from the action toward the target (..., 2)."""
+        for name, value in (("action", action), ("target", target)):
+            if not isinstance(value, Tensor):
+                raise ValueError(f"{name}: {type(value).__name__}, must be a tensor")
         return spring_force(self.reach * action, self.reach * target, self.stiffness, self.limit)
 
 

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from airhockey_marl.checks import check_counts
+from airhockey_marl.checks import check_arrays, check_counts
 from airhockey_marl.match import Player
 from airhockey_marl.table import Table
 from guidance.games import Rink, streams
@@ -35,6 +35,7 @@ def collect(
         ValueError: `games` or `ticks` is below 1.
     """
     check_counts(games=games, ticks=ticks)
+    check_arrays("V", people=(people, "users"))
     users = len(people)
     n = users * games
 

@@ -163,8 +163,8 @@ class Schedule:
 
     def tick(self, goals: np.ndarray) -> np.ndarray:
         """A tick has been played, with these goals (n,): the mask (n,) of the rounds that have ended with it."""
-        if np.shape(goals) != self.rounds.shape:
-            raise ValueError(f"goals: {kind_of(goals)}, must be of shape {self.rounds.shape}")
+        if np.shape(goals) != self.rounds.shape or goals.dtype.kind != "i":
+            raise ValueError(f"goals: {kind_of(goals)}, must be whole numbers of shape {self.rounds.shape}")
         games, protocol, seconds = self.playing, self.protocol, self.tick_seconds
         self._elapsed += 1
         self._round_ticks[games] += 1

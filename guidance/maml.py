@@ -32,6 +32,8 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.func import functional_call, grad
 
+from airhockey_marl.checks import kind_of
+
 Loss = Callable[[TensorDict], Tensor]
 """L(theta): parameters to a scalar."""
 
@@ -206,10 +208,12 @@ class MAML:
         Raises:
             ValueError: ``loss`` is not a scalar with a gradient.
         """
-        if loss.ndim or not loss.requires_grad:
-            raise ValueError(f"loss: {loss}, must be a scalar that requires grad")
+        if not isinstance(loss, Tensor) or loss.ndim or not loss.requires_grad:
+            raise ValueError(f"loss: {kind_of(loss)}, must be a scalar that requires grad")
         names = list(self.params.keys(include_nested=True, leaves_only=True))
         leaves = [self.params[name] for name in names]
+        if loss.device != leaves[0].device:
+            raise ValueError(f"loss: on {loss.device}, must be on {leaves[0].device} as the model")
         gradients = torch.autograd.grad(loss, leaves, create_graph=not self.first_order, materialize_grads=True)
         gradient = TensorDict(dict(zip(names, gradients, strict=True)))
         self.params = _descend(self.params, gradient, self.lr, self.first_order)

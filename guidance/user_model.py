@@ -133,10 +133,11 @@ def prediction_loss(mean: Tensor, std: Tensor, action: Tensor) -> Tensor:
     Raises:
         ValueError: the shapes are not all the same (..., 2), or a dtype is not floating point.
     """
-    for name, tensor in (("mean", mean), ("std", std), ("action", action)):
-        if not isinstance(tensor, Tensor) or tensor.device != action.device:
-            where = f"on {tensor.device}" if isinstance(tensor, Tensor) else type(tensor).__name__
-            raise ValueError(f"{name}: {where}, must be a tensor on the device of action")
+    for name, tensor in (("action", action), ("mean", mean), ("std", std)):
+        if not isinstance(tensor, Tensor):
+            raise ValueError(f"{name}: {type(tensor).__name__}, must be a tensor")
+        if tensor.device != action.device:
+            raise ValueError(f"{name}: on {tensor.device}, must be on {action.device} as action")
         if tensor.ndim == 0 or tensor.shape[-1] != 2 or tensor.shape != action.shape:
             raise ValueError(f"{name}: shape {tuple(tensor.shape)}, must be (..., 2) and that of action")
         if not tensor.is_floating_point():

@@ -47,16 +47,73 @@ ELSEWHERE = {
 }
 # Functions without a call, and why.
 NO_CALL = {
+    "guidance.conditions.NoGuidance.__call__": "has no force for whatever it is given",
     "guidance.games.no_force": "looks at the number of games only",
     "guidance.guide.Plan": "is made by `Guide`, which has looked at the games",
     "guidance.study.run_study": "hands everything on to `run_studies`",
     "guidance.study.run_studies": "hands everything on to `Guide`, `Users` and `play_games`, whose errors are its own",
+    "airhockey_marl.match.answer": "asks with what `Tables.observe` has written",
+    "airhockey_marl.render.View.box": "of a picture that `draw_table` was asked for",
+    "airhockey_marl.render.View.pixel": "likewise",
+    "airhockey_marl.render.draw_bodies": "likewise",
+    "guidance.models.Models.load": "reads files, after which `League.player` looks at the generation",
+    "guidance.users.anchors.anchor_scales": "hands everything on to `play_anchor`",
+    "guidance.users.population.Population": "hands every field to `laws.checked`; see test_users",
     "guidance.ticks.TickLog": "writes a number down as it is",
     "guidance.users.laws.LogNormal.draw": "of a law that `laws.checked` has passed",
 }
 
 
-# What a wrong argument is called in the error: by another name where the function that looks at it has one.
-CALLED_OTHERWISE: dict[str, str] = {}
-# What is no error, and why.
-LAWFUL: dict[str, tuple[str, ...]] = {}
+GUIDANCES = (
+    "Toward.__call__",
+    "Toward.pull",
+    "Combined.__call__",
+    "Product.__call__",
+    "Blended.__call__",
+    "Spring.force",
+)
+
+# What a wrong argument is called in the error, where that is the name by which another function knows it.
+CALLED_OTHERWISE = {
+    "airhockey_marl.tables.Tables n": "tables",
+    "airhockey_marl.env.AirHockeyTables n": "tables",
+    **dict.fromkeys(
+        (f"airhockey_marl.league.League.{name} index" for name in ("generation", "until", "player")), "generation"
+    ),
+    **dict.fromkeys((f"guidance.conditions.{name} action" for name in (*GUIDANCES, "Spring.force")), "position"),
+    "guidance.ticks.Overheard.__call__ action": "position",
+    "guidance.guide.Guide lookahead_seconds": "guidance.lookahead",
+    "guidance.ticks.overheard_guide lookahead_seconds": "guidance.lookahead",
+    "guidance.sensitivity.latin_hypercube points": "sensitivity.points",
+    "guidance.users.sampling.sample_people n": "people",
+}
+# What would be wrong elsewhere, and is none here: a function that works on any device, or takes any seed.
+ANY_DEVICE = (
+    "airhockey_marl.shaping.Shaping.potential observation",
+    "airhockey_marl.shaping.on_goal observation",
+    "guidance.forces.lookahead state",
+    "guidance.forces.uncertainty_weight std",
+    "guidance.models.Models.anticipated state",
+)
+ANY_SEED = (
+    *(f"airhockey_marl.match.{name} seed" for name in ("play_rounds", "play_matches", "play_match")),
+    "airhockey_marl.env.AirHockey.reset seed",
+    "airhockey_marl.defence.defence seed",
+    "airhockey_marl.tables.Tables.seed seed",
+)
+FROM_THE_END = (f"airhockey_marl.league.League.{name} index" for name in ("generation", "until", "player"))
+UNKNOWABLE = {"airhockey_marl.trpo.conjugate_gradient b": ("device",)}  # any will do that has values, as "meta" has not
+LAWFUL = {
+    **dict.fromkeys(ANY_DEVICE, ("device",)),
+    "airhockey_marl.trpo.conjugate_gradient b": ("shape",),  # of any length
+    **dict.fromkeys((*ANY_SEED, *FROM_THE_END, "airhockey_marl.ratings.rate reference"), ("negative",)),
+    "airhockey_marl.sac.SAC target_entropy": ("negative",),
+    "guidance.users.laboratory.push_response newtons": ("negative",),  # to the other side
+    "guidance.users.laboratory.onset speed": ("shape",),  # fewer ticks
+    "guidance.styles.told_apart styles": ("dtype",),  # names will do
+    **dict.fromkeys(
+        (f"guidance.conditions.{name} action" for name in (*GUIDANCES, "Spring.force")), ("dtype",)
+    ),  # becomes metres
+    "guidance.conditions.Spring.force target": ("dtype",),
+    "guidance.ticks.Overheard.__call__ action": ("dtype",),
+}

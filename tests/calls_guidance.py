@@ -5,6 +5,7 @@ import copy
 import numpy as np
 import torch
 
+from airhockey_marl import inference
 from guidance import (
     conditions,
     dataset,
@@ -29,8 +30,9 @@ from guidance.users import anchors as rods
 from guidance.users import laboratory, people, rating, sampling
 from guidance.users.intention import Intention
 from guidance.users.mentors import NO_MENTORS
-from tests.calls_world import ACTION, POLICY, REST, SEEN, STD, TABLE
+from tests.calls_world import ACTION, POLICY, SEEN, STD, TABLE
 
+REST = inference.steady(POLICY)
 PEOPLE, STREAMS = sampling.sample_people(2, 0), sampling.personal_streams(2, 0)
 WHO = {"table": TABLE, "variant": "V1", "mentors": NO_MENTORS}
 USERS = people.Users(PEOPLE, STREAMS)
@@ -57,6 +59,9 @@ REACHES = laboratory.Reaches(
 )
 
 
+LEARNER = maml.MAML(POLICY, 0.1)
+
+
 def still(state: np.ndarray) -> np.ndarray:
     return np.zeros((len(state), 2))
 
@@ -69,9 +74,10 @@ CALLS = [
     (forces.combine, {"optimal": ACTION, "user": ACTION}),
     (forces.similarity_weight, {"first": ACTION, "second": ACTION}),
     (maml.adapt, {"params": THETA, "loss": lambda theta: LOSS(theta, None), "lr": 0.1, "steps": 1}),
-    (maml.adapt_each, {"params": THETA, "loss": LOSS, "demo": PAIR, "lr": 0.1, "steps": 1}),
-    (maml.meta_loss, {"params": THETA, "loss": LOSS, "demo": PAIR, "valid": PAIR, "lr": 0.1, "steps": 1}),
+    (maml.adapt_each, {"params": THETA, "loss": LOSS, "demo": (PAIR,), "lr": 0.1, "steps": 1}),
+    (maml.meta_loss, {"params": THETA, "loss": LOSS, "demo": (PAIR,), "valid": (PAIR,), "lr": 0.1, "steps": 1}),
     (maml.MAML, {"model": POLICY, "lr": 0.1}),
+    (LEARNER.adapt, {"loss": LEARNER(SEEN)[0].sum()}),
     (user_model.Demonstrations, {"observation": DEMO.observation, "action": DEMO.action}),
     (DEMO.batches, {"size": 2}),
     (DEMO.pairs, {"block": 2}),
@@ -92,7 +98,6 @@ CALLS = [
     (conditions.Spring, SPRING),
     (TOWARD.spring.force, {"action": ACTION, "target": ACTION}),
     (conditions.Thresholds, {"low": 0.1, "high": 0.2}),
-    (conditions.NoGuidance().__call__, {"action": ACTION, "targets": BOTH}),
     (TOWARD.__call__, {"action": ACTION, "targets": BOTH}),
     (TOWARD.pull, {"action": ACTION, "target": BOTH["user"]}),
     (COMBINED.__call__, {"action": ACTION, "targets": BOTH}),

@@ -62,7 +62,7 @@ POOL = selfplay.Pool(LEAGUE, [], samplers.Latest(), 0.5)
 PLAYED = precision.record(POLICY, REST, tables=2, seconds=0.2, seed=0)
 SCORE, WINS = np.array([[[0, 0, 1], [3, 1, 0]], [[1, 3, 0], [0, 0, 1]]]), np.array([[0.0, 3.0], [1.0, 0.0]])
 MANY = {name: tensor.detach().unsqueeze(0) for name, tensor in POLICY.named_parameters()}
-FORTH = {"decision_ticks": 2, "round_seconds": 0.2}
+FORTH, SHARED = {"decision_ticks": 2, "round_seconds": 0.2}, {"tables_per_pair": 1, "decision_ticks": 25}
 
 
 class Onlooker:
@@ -120,8 +120,8 @@ CALLS = [
     (precision.precision, {"play": PLAYED, "seed": 0}),
     (precision.std_map, {"play": PLAYED, "toward": True, "least": 1}),
     (ratings.Share.of, {"successes": 1, "trials": 2}),
-    (ratings.play_pairs, {"league": LEAGUE, "pairs": [(0, 1)], "rounds": 1, "seed": 0, "tables_per_pair": 1}),
-    (ratings.payoff, {"league": LEAGUE, "members": [0, 1], "rounds": 1, "seed": 0, "tables_per_pair": 1}),
+    (ratings.play_pairs, {"league": LEAGUE, "pairs": [(0, 1)], "rounds": 1, "seed": 0, **SHARED}),
+    (ratings.payoff, {"league": LEAGUE, "members": [0, 1], "rounds": 1, "seed": 0, **SHARED}),
     (ratings.win_rates, {"score": SCORE}),
     (ratings.rate, {"wins": WINS, "reference": 0, "prior_rounds": 1.0}),
     (ratings.gains, {"members": [0, 1], "wins": WINS, "over": 0}),

@@ -93,7 +93,7 @@ TABLE = [
     (lambda: Demonstrations(SEEN * math.nan, DONE), r"observation: 360 values are not finite"),
     (lambda: next(DATA.batches(0)), r"size = 0 must be a whole number of at least 1"),
     (lambda: next(DATA.pairs(6)), r"block: 6 ticks, must be within 1 and 5"),
-    (lambda: prediction_loss(VECTOR, VECTOR, torch.zeros(3, 3)), r"mean: shape \(3, 2\), must be"),
+    (lambda: prediction_loss(VECTOR, VECTOR, torch.zeros(3, 3)), r"action: shape \(3, 3\), must be \(\.\.\., 2\)"),
     (lambda: next(train_supervised(POLICY, DATA, epochs=0)), r"epochs = 0 must be a whole number of at least 1"),
     (lambda: next(train_maml(POLICY, DATA, lr=math.nan)), r"lr = nan must be a finite number above 0"),
     (lambda: next(train_maml(POLICY, DATA, max_norm=0.0)), r"max_norm: 0\.0, must be positive"),
