@@ -13,37 +13,29 @@ COMMAND = "a command: its numbers are keys of a yaml, which `cli.require_*` and 
 DRAWN = "draws or writes down what others have measured"
 HAND = "acts on a hand, where what is wrong must end in no force, not in an exception; see test_safety, test_hostile"
 ROUTE = "passes on what it is given, to files or to other processes"
+MODULES = {
+    "airhockey_marl": {
+        COMMAND: "cli compare grid league_report train",
+        DRAWN: "board figures findings page report",
+        ROUTE: "files kept_config launchers lock run_record",
+        "is what refuses": "building checks",
+        "takes a configuration; counts and seed are looked at like those of `match`": "exploit",
+        "refuses numbers that are wrong by a FloatingPointError; see test_guards": "guards",
+        "starts compiled code of callers who have looked at what it is given": "parallel",
+    },
+    "guidance": {
+        COMMAND: "battery calibrate collect evaluate lab meta_train play prediction_report provenance replicate runs watch",
+        DRAWN: "answers drawing figures groups portraits report robustness window",
+        HAND: "clock devices safety seat servo",
+        ROUTE: "lsl recording records seating session",
+        "is read rather than called": "examples",
+    },
+}
 ELSEWHERE = {
-    **dict.fromkeys((f"airhockey_marl.{name}" for name in ("compare", "grid", "league_report", "train")), COMMAND),
-    **dict.fromkeys((f"airhockey_marl.{name}" for name in ("board", "figures", "findings", "page", "report")), DRAWN),
-    **dict.fromkeys((f"airhockey_marl.{name}" for name in ("files", "launchers", "lock", "run_record")), ROUTE),
-    "airhockey_marl.checks": "is what refuses",
-    "airhockey_marl.cli": COMMAND,
-    "airhockey_marl.exploit": "takes a configuration; counts and seed are looked at like those of `match`",
-    "airhockey_marl.guards": "refuses numbers that are wrong by a FloatingPointError; see test_guards",
-    "airhockey_marl.parallel": "starts compiled code of callers who have looked at what it is given",
-    **dict.fromkeys(
-        (
-            f"guidance.{name}"
-            for name in (
-                "battery",
-                "calibrate",
-                "collect",
-                "evaluate",
-                "lab",
-                "meta_train",
-                "play",
-                "prediction_report",
-            )
-        ),
-        COMMAND,
-    ),
-    **dict.fromkeys((f"guidance.{name}" for name in ("replicate", "runs", "watch", "provenance")), COMMAND),
-    **dict.fromkeys((f"guidance.{name}" for name in ("answers", "drawing", "figures", "groups", "portraits")), DRAWN),
-    **dict.fromkeys((f"guidance.{name}" for name in ("report", "robustness", "window")), DRAWN),
-    **dict.fromkeys((f"guidance.{name}" for name in ("clock", "devices", "safety", "seat", "servo")), HAND),
-    **dict.fromkeys((f"guidance.{name}" for name in ("lsl", "recording", "records", "session", "seating")), ROUTE),
-    "guidance.examples": "is read rather than called",
+    f"{package}.{name}": reason
+    for package, reasons in MODULES.items()
+    for reason, names in reasons.items()
+    for name in names.split()
 }
 # Functions without a call, and why.
 NO_CALL = {
@@ -63,8 +55,7 @@ NO_CALL = {
     "guidance.users.laws.LogNormal.draw": "of a law that `laws.checked` has passed",
 }
 
-
-GUIDANCES = (
+SPRINGS = (
     "Toward.__call__",
     "Toward.pull",
     "Combined.__call__",
@@ -72,16 +63,14 @@ GUIDANCES = (
     "Blended.__call__",
     "Spring.force",
 )
-
+HANDS = [*(f"guidance.conditions.{name} action" for name in SPRINGS), "guidance.ticks.Overheard.__call__ action"]
+INDICES = [f"airhockey_marl.league.League.{name} index" for name in ("generation", "until", "player")]
 # What a wrong argument is called in the error, where that is the name by which another function knows it.
 CALLED_OTHERWISE = {
     "airhockey_marl.tables.Tables n": "tables",
     "airhockey_marl.env.AirHockeyTables n": "tables",
-    **dict.fromkeys(
-        (f"airhockey_marl.league.League.{name} index" for name in ("generation", "until", "player")), "generation"
-    ),
-    **dict.fromkeys((f"guidance.conditions.{name} action" for name in (*GUIDANCES, "Spring.force")), "position"),
-    "guidance.ticks.Overheard.__call__ action": "position",
+    **dict.fromkeys(INDICES, "generation"),
+    **dict.fromkeys(HANDS, "position"),  # where a spring has its end, in metres
     "guidance.guide.Guide lookahead_seconds": "guidance.lookahead",
     "guidance.ticks.overheard_guide lookahead_seconds": "guidance.lookahead",
     "guidance.sensitivity.latin_hypercube points": "sensitivity.points",
@@ -101,19 +90,15 @@ ANY_SEED = (
     "airhockey_marl.defence.defence seed",
     "airhockey_marl.tables.Tables.seed seed",
 )
-FROM_THE_END = (f"airhockey_marl.league.League.{name} index" for name in ("generation", "until", "player"))
-UNKNOWABLE = {"airhockey_marl.trpo.conjugate_gradient b": ("device",)}  # any will do that has values, as "meta" has not
 LAWFUL = {
     **dict.fromkeys(ANY_DEVICE, ("device",)),
-    "airhockey_marl.trpo.conjugate_gradient b": ("shape",),  # of any length
-    **dict.fromkeys((*ANY_SEED, *FROM_THE_END, "airhockey_marl.ratings.rate reference"), ("negative",)),
+    **dict.fromkeys((*ANY_SEED, *INDICES, "airhockey_marl.ratings.rate reference"), ("negative",)),
+    **dict.fromkeys((*HANDS, "guidance.conditions.Spring.force target"), ("dtype",)),
     "airhockey_marl.sac.SAC target_entropy": ("negative",),
-    "guidance.users.laboratory.push_response newtons": ("negative",),  # to the other side
-    "guidance.users.laboratory.onset speed": ("shape",),  # fewer ticks
+    "airhockey_marl.trpo.conjugate_gradient b": ("shape",),  # of any length
     "guidance.styles.told_apart styles": ("dtype",),  # names will do
-    **dict.fromkeys(
-        (f"guidance.conditions.{name} action" for name in (*GUIDANCES, "Spring.force")), ("dtype",)
-    ),  # becomes metres
-    "guidance.conditions.Spring.force target": ("dtype",),
-    "guidance.ticks.Overheard.__call__ action": ("dtype",),
+    "guidance.users.laboratory.onset speed": ("shape",),  # fewer ticks
+    "guidance.users.laboratory.push_response newtons": ("negative",),  # to the other side
 }
+# What is neither: any device will do that has values, as "meta" has not.
+UNKNOWABLE = {"airhockey_marl.trpo.conjugate_gradient b": ("device",)}
