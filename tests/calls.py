@@ -24,8 +24,8 @@ MODULES = {
         "starts compiled code of callers who have looked at what it is given": "parallel",
     },
     "guidance": {
-        COMMAND: "battery calibrate collect evaluate lab meta_train play prediction_report provenance replicate runs watch",
-        DRAWN: "answers drawing figures groups portraits report robustness window",
+        COMMAND: "battery calibrate collect evaluate lab meta_train play prediction_report replicate runs watch",
+        DRAWN: "answers drawing figures groups portraits provenance report robustness window",
         HAND: "clock devices safety seat servo",
         ROUTE: "lsl recording records seating session",
         "is read rather than called": "examples",
@@ -55,15 +55,11 @@ NO_CALL = {
     "guidance.users.laws.LogNormal.draw": "of a law that `laws.checked` has passed",
 }
 
-SPRINGS = (
-    "Toward.__call__",
-    "Toward.pull",
-    "Combined.__call__",
-    "Product.__call__",
-    "Blended.__call__",
-    "Spring.force",
-)
-HANDS = [*(f"guidance.conditions.{name} action" for name in SPRINGS), "guidance.ticks.Overheard.__call__ action"]
+HANDS = [
+    *(f"guidance.conditions.{name}.__call__ action" for name in ("Toward", "Combined", "Product", "Blended")),
+    *(f"guidance.conditions.{name} action" for name in ("Toward.pull", "Spring.force")),
+    "guidance.ticks.Overheard.__call__ action",
+]
 INDICES = [f"airhockey_marl.league.League.{name} index" for name in ("generation", "until", "player")]
 # What a wrong argument is called in the error, where that is the name by which another function knows it.
 CALLED_OTHERWISE = {

@@ -5,23 +5,30 @@ import math
 import numpy as np
 import pytest
 import torch
+from tensordict import TensorDict
 
 from airhockey_marl.env import AirHockey, make_env
+from airhockey_marl.inference import RowByRow
 from airhockey_marl.league import League
 from airhockey_marl.policy import Critic, GaussianPolicy
+from airhockey_marl.ratings import rate
 from airhockey_marl.samplers import DeltaUniform
 from airhockey_marl.table import LEFT, Table, check_table
 from airhockey_marl.tables import Tables
+from airhockey_marl.trpo import advantages, kl_divergence, log_prob
 from guidance.forces import combine, lookahead, similarity_weight, spring_force, uncertainty_weight
-from guidance.maml import adapt, parameters
+from guidance.maml import adapt, forward_each, parameters
+from guidance.metrics import Moments, disagreement
 from guidance.safety import Limits
 from guidance.user_model import Demonstrations, adapt_to_user, prediction_loss, train_maml, train_supervised
+from guidance.users import Users, personal_streams, sample_people
 
 TWO, POLICY = Tables(2), GaussianPolicy([4])
 ACTIONS, ROWS = np.zeros((2, 2, 2)), np.array([0, 1])
 VECTOR, ELSEWHERE = torch.zeros(3, 2), torch.zeros(3, 2, device="meta")
 SEEN, DONE = torch.zeros(2, 3, 5, 12), torch.zeros(2, 3, 5, 2)
-DATA = Demonstrations(SEEN, DONE)
+DATA, VIEW = Demonstrations(SEEN, DONE), TensorDict({"observation": SEEN[0]}, [3, 5])
+PEOPLE = Users(sample_people(2, 0), personal_streams(2, 0))
 
 
 def lineup() -> torch.nn.Module:
@@ -75,6 +82,15 @@ TABLE = [
     (lambda: League(POLICY).generation(0), r"generation = 0 must be below 0"),
     (lambda: League(POLICY).lineup(["goalie"]), r"anchor = 'goalie' must be one of"),
     (lambda: DeltaUniform(1.0), r"delta = 1\.0 must be at least 0 and below 1"),
+    (lambda: log_prob(VECTOR, VECTOR, ELSEWHERE), r"action: on meta, must be on cpu beside mean, std"),
+    (
+        lambda: kl_divergence(VECTOR, VECTOR, VECTOR, VECTOR[:1]),
+        r"new_std: shape \(1, 2\), must be \(3, 2\) beside mean",
+    ),
+    (lambda: advantages(None, VIEW, 0.9, 0.9), r"view: has no next\.observation, next\.reward, next\.done"),
+    (lambda: rate(np.zeros((2, 3)), 0), r"wins: shape \(2, 3\), must be \(k, k\)"),
+    (lambda: rate(np.array([[0, -1], [1, 0]]), 0), r"wins = -1 must be counts of at least 0"),
+    (lambda: RowByRow(POLICY)(SEEN[0, 0].numpy(), np.arange(5)), r"which: from 0 to 4, must be from 0 to 0"),
     # forces
     (lambda: lookahead(torch.zeros(3), 0.1), r"state: shape \(3,\), must be"),
     (lambda: lookahead(torch.zeros(12), math.nan), r"seconds: nan, must be finite"),
@@ -87,7 +103,11 @@ TABLE = [
     (lambda: similarity_weight(VECTOR, torch.zeros(5, 2)), r"second: shape \(5, 2\), must go with \(3, 2\) of first"),
     (lambda: uncertainty_weight(VECTOR, 0.5, 0.1), r"low, high: 0\.5, 0\.1, must satisfy"),
     (lambda: Limits(force=math.inf), r"safety\.force = inf must be a finite number above 0"),
+    (lambda: disagreement(np.zeros((3, 2)), np.zeros((4, 2))), r"action_change: shape \(4, 2\), must be \(3, 2\)"),
+    (lambda: Moments(2).add(np.array([2]), np.ones(1)), r"games: from 2 to 2, must be from 0 to 1"),
+    (lambda: PEOPLE.step(np.zeros((2, 12)), np.zeros((2, 2)), ROWS + 1), r"rows: from 1 to 2, must be from 0 to 1"),
     # learning
+    (lambda: forward_each(POLICY, parameters(POLICY), SEEN), r"inputs: shape \(2, 3, 5, 12\), must begin with"),
     (lambda: Demonstrations(SEEN[0], DONE), r"observation: shape \(3, 5, 12\), must be \(users, games, ticks, 12\)"),
     (lambda: Demonstrations(SEEN, DONE.double()), r"action: .* must match observation"),
     (lambda: Demonstrations(SEEN * math.nan, DONE), r"observation: 360 values are not finite"),
