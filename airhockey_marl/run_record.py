@@ -131,22 +131,22 @@ def _beginning(file: Path) -> str:
 class Record(Callback):
     """Hydra tells it of each job's beginning and end, in the job's own process; it writes run.json.
 
-    A fresh run is refused where it would write over another one's files, before Hydra writes its own.
+    A run is refused where it would write over another one's files, before Hydra writes its own.
 
     A run that goes on with an earlier one (`resume`) speaks for that one's folder as well. A command that keeps nothing
     of what was typed (`hydra.output_subdir: null`, as for a session with a person) is not written down.
     """
 
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
-        """Refuse the folder of a run that there is something to lose of."""
-        if config.hydra.output_subdir is not None and config.get("resume") is None:
+        """Refuse the folder of a run that there is something to lose of; one that goes on keeps its log elsewhere."""
+        if config.hydra.output_subdir is not None:
             _require_free(Path(config.hydra.run.dir), "hydra.run.dir")
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
         """Likewise for a sweep's jobs; and make its folder, which stands above a search's database."""
         sweep = Path(config.hydra.sweep.dir)
         for job in sorted(sweep.glob("*")):  # what a job's folder is called is known, if not how many there will be
-            if job.name.isdecimal() and config.get("resume") is None:
+            if job.name.isdecimal():
                 _require_free(job, "hydra.sweep.dir")
         sweep.mkdir(parents=True, exist_ok=True)
 
@@ -170,25 +170,27 @@ class Record(Callback):
 
 
 def what_is_lost(folder: Path) -> str | None:
-    """What a fresh run in this folder would write over, in words; None if there is nothing to lose.
+    """What a run would write over in this folder, in words; None if there is nothing to lose.
 
-    A run that failed or was interrupted before it could be resumed has left nothing that anybody could use.
+    A run that failed or was interrupted before it could be resumed has left nothing that anybody could use; and one of
+    which there is only a log, as where it went on with another, nothing at all.
     """
     run = read_run(folder)
     if run.resumable:
         return f"a run that can be gone on with: resume={folder}"
-    if run.state in ("running", "done"):
-        return f"a run that is {run.state}"
-    if run.state == "unknown" and (folder / ".hydra").is_dir():  # older than run.json, or killed as it began
-        kept = [path.name for path in folder.iterdir() if not path.name.startswith(".") and path.suffix != ".log"]
-        return f"a run that has left {', '.join(sorted(kept)[:3])}" if kept else None
-    return None
+    if run.state == "running":
+        return "a run that is running"
+    if run.state in ("failed", "interrupted") or not (folder / ".hydra").is_dir():
+        return None
+    kept = [path.name for path in folder.iterdir() if not path.name.startswith(".") and path.suffix != ".log"]
+    kept = sorted({*kept} - {RECORD})
+    return f"a run that has left {', '.join(kept[:3])}" if kept else None
 
 
 def _require_free(folder: Path, key: str) -> None:
     """Refuse a folder by the one exception that Hydra lets a callback raise; `cli.command` says it in one line."""
     if lost := what_is_lost(folder):
-        print(f"{key}: {folder} holds {lost}; a fresh run must have a folder of its own", file=sys.stderr)
+        print(f"{key}: {folder} holds {lost}; a run must have a folder of its own", file=sys.stderr)
         sys.exit(2)
 
 
