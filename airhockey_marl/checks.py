@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
 CPU = torch.device("cpu")
@@ -54,6 +55,29 @@ def check_arrays(kinds: str = "fiu", **named: tuple[np.ndarray, str]) -> None:
             raise ValueError(f"{name}: {kind_of(array)}, must be an array of {KINDS[kinds]}")
         if trouble := _misfit(array.shape, wanted, known):
             raise ValueError(f"{name}: {trouble}{_beside(name, named)}")
+
+
+def check_view(view: TensorDictBase, *names: str) -> None:
+    """Refuse what is no batch of play, see `learner.Learner.update`.
+
+    Args:
+        names: what it must have beside observations and what comes next.
+
+    Raises:
+        ValueError: names what is absent, or of another shape or dtype.
+    """
+    if not isinstance(view, TensorDictBase):
+        raise ValueError(f"view: {kind_of(view)}, must be a TensorDict")
+    shapes = {"observation": "tables steps 12", "action": "tables steps 2"}
+    wanted = {("observation",): shapes["observation"], **{(name,): shapes[name] for name in names}}
+    wanted |= {("next", "observation"): "tables steps 12", ("next", "reward"): "tables steps 1"}
+    flags = [("next", name) for name in ("done", "terminated")]
+    if absent := [".".join(key) for key in (*wanted, *flags) if view.get(key, None) is None]:
+        raise ValueError(f"view: has no {', '.join(absent)}")
+    check_tensors(**{f"view.{'.'.join(key)}": (view[key], shape) for key, shape in wanted.items()})
+    for key in flags:
+        if view[key].dtype != torch.bool or view[key].shape != view["next", "reward"].shape:
+            raise ValueError(f"view.{'.'.join(key)}: {kind_of(view[key])}, must be bools, one for each reward")
 
 
 def check_rows(name: str, rows: np.ndarray, n: int) -> None:

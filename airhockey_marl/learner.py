@@ -3,35 +3,9 @@
 from collections.abc import Mapping
 from typing import Protocol
 
-import torch
 from tensordict import TensorDictBase
 from torch import nn
 from torch.optim import Optimizer
-
-from airhockey_marl.checks import check_tensors, kind_of
-
-
-def check_view(view: TensorDictBase, *names: str) -> None:
-    """Refuse what is no batch of play, see `Learner.update`.
-
-    Args:
-        names: what it must have beside observations and what comes next.
-
-    Raises:
-        ValueError: names what is absent, or of another shape or dtype.
-    """
-    if not isinstance(view, TensorDictBase):
-        raise ValueError(f"view: {kind_of(view)}, must be a TensorDict")
-    shapes = {"observation": "tables steps 12", "action": "tables steps 2"}
-    wanted = {("observation",): shapes["observation"], **{(name,): shapes[name] for name in names}}
-    wanted |= {("next", "observation"): "tables steps 12", ("next", "reward"): "tables steps 1"}
-    flags = [("next", name) for name in ("done", "terminated")]
-    if absent := [".".join(key) for key in (*wanted, *flags) if view.get(key, None) is None]:
-        raise ValueError(f"view: has no {', '.join(absent)}")
-    check_tensors(**{f"view.{'.'.join(key)}": (view[key], shape) for key, shape in wanted.items()})
-    for key in flags:
-        if view[key].dtype != torch.bool or view[key].shape != view["next", "reward"].shape:
-            raise ValueError(f"view.{'.'.join(key)}: {kind_of(view[key])}, must be bools, one for each reward")
 
 
 class Learner(Protocol):

@@ -15,8 +15,7 @@ from torch import nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
-from airhockey_marl.checks import check_counts, check_numbers, labelled
-from airhockey_marl.learner import check_view
+from airhockey_marl.checks import check_counts, check_numbers, check_view, labelled
 from airhockey_marl.trpo import advantages, kl_divergence
 
 

@@ -24,8 +24,7 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import SACLoss, SoftUpdate, ValueEstimators
 
-from airhockey_marl.checks import check_counts, check_numbers, check_tensors, labelled
-from airhockey_marl.learner import check_view
+from airhockey_marl.checks import check_counts, check_numbers, check_tensors, check_view, labelled
 from airhockey_marl.policy import PADDLE, Inputs, check_hidden, relu_layers
 from airhockey_marl.ppo import gaussian_actor
 

@@ -14,8 +14,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
-from airhockey_marl.checks import check_counts, check_numbers, check_tensors, labelled
-from airhockey_marl.learner import check_view
+from airhockey_marl.checks import check_counts, check_numbers, check_tensors, check_view, labelled
 
 
 def conjugate_gradient(matvec: Callable[[Tensor], Tensor], b: Tensor, steps: int, tolerance: float = 1e-10) -> Tensor:

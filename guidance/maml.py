@@ -32,8 +32,6 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.func import functional_call, grad
 
-from airhockey_marl.checks import kind_of
-
 Loss = Callable[[TensorDict], Tensor]
 """L(theta): parameters to a scalar."""
 
@@ -209,7 +207,8 @@ class MAML:
             ValueError: ``loss`` is not a scalar with a gradient.
         """
         if not isinstance(loss, Tensor) or loss.ndim or not loss.requires_grad:
-            raise ValueError(f"loss: {kind_of(loss)}, must be a scalar that requires grad")
+            seen = f"shape {tuple(loss.shape)}" if isinstance(loss, Tensor) else type(loss).__name__
+            raise ValueError(f"loss: {seen}, must be a scalar that requires grad")
         names = list(self.params.keys(include_nested=True, leaves_only=True))
         leaves = [self.params[name] for name in names]
         if loss.device != leaves[0].device:
