@@ -103,8 +103,9 @@ class AirHockey(ParallelEnv):
         if not self.agents:
             raise RuntimeError("the round is over: call reset() first")
         for seat in SEATS:
-            if np.shape(actions.get(seat)) != (ACTION_SIZE,):
-                raise ValueError(f"actions[{seat!r}]: {kind_of(actions.get(seat))}, must be numbers of shape (2,)")
+            action = actions.get(seat)
+            if (action.shape if isinstance(action, np.ndarray) else np.shape(action)) != (ACTION_SIZE,):
+                raise ValueError(f"actions[{seat!r}]: {kind_of(action)}, must be numbers of shape (2,)")
         self._actions[0, LEFT], self._actions[0, RIGHT] = actions["left"], actions["right"]
         self.tables.step(self._actions, self.decision_ticks)
         self._steps += 1
