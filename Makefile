@@ -25,10 +25,11 @@ bench: .venv/installed .venv/compiled  ## speeds of this machine, as one JSON ob
 board: .venv/installed  ## TensorBoard on outputs/, or on some of it: make board RUNS=outputs/train
 	$(BIN)/tensorboard --logdir $(RUNS)
 
+# strict, because what the index does not have would pass as sound
 audit: .venv/installed  ## known vulnerabilities of what is pinned; asks the network
 	$(PYTHON) -m venv .venv/audit
 	.venv/audit/bin/python -m pip install --quiet pip-audit
-	.venv/audit/bin/pip-audit --requirement constraints.txt --no-deps --disable-pip
+	.venv/audit/bin/pip-audit --strict --requirement constraints.txt --no-deps --disable-pip
 
 lint: .venv/installed  ## style
 	$(BIN)/ruff check .

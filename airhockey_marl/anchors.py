@@ -19,6 +19,7 @@ import torch
 from numba import njit
 from torch import Tensor
 
+from airhockey_marl.checks import CPU, check_tensors
 from airhockey_marl.table import Table, clamp
 
 UNTRAINED = 0.5  # STD of `random`: sigmoid(0), with which `policy.GaussianPolicy` begins
@@ -255,6 +256,7 @@ class Anchor:
 
     def __call__(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (..., 12) to mean (..., 2), in [-1, 1], and STD (..., 2)."""
+        check_tensors(CPU, observation=(observation, "... 12"))
         seen = observation.detach().reshape(-1, observation.shape[-1]).numpy().astype(np.float64)
         actions = np.empty((len(seen), 2))
         self.script(seen, actions, self.table)

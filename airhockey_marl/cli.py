@@ -20,9 +20,9 @@ from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
-from yaml import YAMLError
 
 from airhockey_marl.files import UNWRITABLE, Unwritten
+from airhockey_marl.kept_config import read_config
 
 ROOT = Path(__file__).resolve().parents[1]
 LAUNCHERS = ROOT / "airhockey_marl" / "launchers"
@@ -244,11 +244,8 @@ def config_of(run: Path, state: str, now: Mapping[str, Any] = MappingProxyType({
     if not (run / state).is_file() or not (run / ".hydra" / "config.yaml").is_file():
         raise ValueError(f"resume = {run} is not the folder of a run that can go on: it has no {state}")
     file = run / ".hydra" / "config.yaml"
-    try:
-        cfg = OmegaConf.load(file)
-    except (YAMLError, UnicodeDecodeError, RecursionError) as error:
-        raise ValueError(f"{file} is no yaml: {' '.join(str(error).split())[:200]}") from error
-    if not isinstance(cfg, DictConfig) or "resume" not in cfg:
+    cfg = read_config(file)
+    if "resume" not in cfg:
         raise ValueError(f"{file} is not the configuration of a run that can go on")
     if HydraConfig.initialized():  # a preset's keys for other commands are in the file, too
         own = _own_keys(HydraConfig.get().job.config_name)

@@ -21,6 +21,7 @@ from tensordict.nn import TensorDictSequential
 from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector, MultiCollector
 
+from airhockey_marl.checks import check_counts
 from airhockey_marl.env import make_env, serve_streams
 from airhockey_marl.league import Lineup
 from airhockey_marl.policy import GaussianPolicy
@@ -104,10 +105,12 @@ class Crew:
         batch: steps that they bring at a time, over all tables.
 
     Raises:
-        ValueError: there can be no such tables, or they cannot be divided among so many.
+        ValueError: there can be no such tables, seed or batch, or they cannot be divided among so many.
     """
 
     def __init__(self, how: Collecting, env: Mapping[str, Any], seed: int, policy: GaussianPolicy, batch: int) -> None:
+        check_counts(0, seed=seed)
+        check_counts(batch=batch)
         tables, self.workers, self.batch = env["tables"], how.workers, batch
         if tables % self.workers:
             raise ValueError(f"env.tables = {tables} must be a multiple of collector.workers = {self.workers}")

@@ -16,7 +16,6 @@ from pathlib import Path
 
 import pandas as pd
 import torch
-import yaml
 from hydra.core.hydra_config import HydraConfig
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -25,6 +24,7 @@ from torch import nn
 
 from airhockey_marl.cli import ProgressBar, command, input_errors, require_counts
 from airhockey_marl.files import found_below, replacing
+from airhockey_marl.kept_config import read_config
 from airhockey_marl.league import League
 from airhockey_marl.match import Result, play_matches, sampled
 
@@ -72,8 +72,8 @@ def read_run(folder: Path) -> Run:
             raise ValueError(f"runs: {folder} is not a finished training run: it has no {name}")
     try:
         card = json.loads((folder / CARD).read_text(encoding="utf-8"))
-        cfg = OmegaConf.load(folder / CONFIG)
-    except (json.JSONDecodeError, yaml.YAMLError) as error:
+        cfg = read_config(folder / CONFIG)
+    except json.JSONDecodeError as error:
         raise ValueError(f"runs: {folder}: {error}") from error
     wanted = ("algorithm._target_", "seed", "steps_per_generation", "env.decision_ticks")
     settings = [OmegaConf.select(cfg, key) for key in wanted]

@@ -14,8 +14,9 @@ import numpy as np
 import torch
 from numba import njit
 
+from airhockey_marl.checks import check_counts
 from airhockey_marl.env import ACTION_SIZE, OBSERVATION_SIZE, steps_of
-from airhockey_marl.match import DECISION_TICKS, Player
+from airhockey_marl.match import DECISION_TICKS, Player, answer
 from airhockey_marl.table import LEFT, PUCK, RIGHT, TOUCHED_BY, Table, X, Y, tick
 from airhockey_marl.tables import Tables
 
@@ -90,6 +91,7 @@ def defence(
     They play at `rounds` tables for `round_seconds` each; after a goal a table begins a new round. Who is to blame is
     a matter of single ticks, so the tables are stepped tick by tick, each action held for `decision_ticks`.
     """
+    check_counts(rounds=rounds)
     tables = Tables(rounds, table)
     tables.seed(seed)
     tables.new_rounds()
@@ -99,7 +101,7 @@ def defence(
     actions = np.empty((rounds, 2, ACTION_SIZE), dtype=np.float32)
     for _ in range(steps_of(round_seconds, tables.table, decision_ticks)):
         for seat, chooser in ((LEFT, player), (RIGHT, attacker)):
-            actions[:, seat] = chooser(torch.from_numpy(tables.observe(seat, seen[seat]))).numpy()
+            actions[:, seat] = answer(chooser, tables.observe(seat, seen[seat]))
         for _ in range(decision_ticks):
             tables.step(actions)
             record(under_fire, counts, tables.bodies, tables.goals, tables.touched, tables.served, empty)

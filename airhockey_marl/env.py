@@ -28,6 +28,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase, PettingZooWrapper, SerialEnv
 
+from airhockey_marl.checks import check_counts, check_numbers, kind_of
 from airhockey_marl.render import draw_table
 from airhockey_marl.table import LEFT, RIGHT, Table
 from airhockey_marl.tables import Tables
@@ -42,8 +43,8 @@ def steps_of(round_seconds: float, table: Table, decision_ticks: int = 1) -> int
     Raises:
         ValueError: less than one step, or a step of less than a tick.
     """
-    if decision_ticks < 1:
-        raise ValueError(f"decision_ticks = {decision_ticks} must be at least 1")
+    check_counts(decision_ticks=decision_ticks)
+    check_numbers(round_seconds=round_seconds)
     steps = round(round_seconds / (decision_ticks * table.tick))
     if steps < 1:
         raise ValueError(f"round_seconds = {round_seconds} must be at least one step ({decision_ticks * table.tick} s)")
@@ -101,6 +102,10 @@ class AirHockey(ParallelEnv):
         """Play one step. Actions outside [-1, 1] are clipped; one that is not a number means stay."""
         if not self.agents:
             raise RuntimeError("the round is over: call reset() first")
+        for seat in SEATS:
+            action = actions.get(seat)
+            if (action.shape if isinstance(action, np.ndarray) else np.shape(action)) != (ACTION_SIZE,):
+                raise ValueError(f"actions[{seat!r}]: {kind_of(action)}, must be numbers of shape (2,)")
         self._actions[0, LEFT], self._actions[0, RIGHT] = actions["left"], actions["right"]
         self.tables.step(self._actions, self.decision_ticks)
         self._steps += 1
@@ -148,6 +153,8 @@ class AirHockeyTables(EnvBase):
         table: Table | None = None,
         seed: int | None = None,
     ) -> None:
+        check_counts(tables=n)
+        check_counts(0, seed=0 if seed is None else seed)
         super().__init__(device="cpu", batch_size=[n])
         self.tables = Tables(n, table)
         self.decision_ticks = decision_ticks
@@ -217,6 +224,8 @@ def make_env(
     Raises:
         ValueError: an unknown backend.
     """
+    check_counts(tables=tables)
+    check_counts(0, seed=seed)
     if backend == "batched":
         return AirHockeyTables(tables, round_seconds, decision_ticks, table, seed)
     if backend == "pettingzoo":

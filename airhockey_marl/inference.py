@@ -7,6 +7,7 @@ is for many rows, they are asked all at once after all: the same but for the las
 
 import copy
 from collections.abc import Mapping
+from itertools import pairwise
 from math import exp
 
 import numpy as np
@@ -14,6 +15,7 @@ import torch
 from numba import float32, njit
 from torch import Tensor, nn
 
+from airhockey_marl.checks import CPU, check_rows, check_tensors, kind_of
 from airhockey_marl.match import Player
 from airhockey_marl.parallel import over_rows
 from airhockey_marl.policy import PADDLE, GaussianPolicy
@@ -74,6 +76,29 @@ def _answers(rows, weights, sizes, from_paddle, scale, observation, which, mean,
         _answer(row, weights, sizes, from_paddle, scale, observation, which, mean, std)
 
 
+def _stacked(policy: GaussianPolicy, weights: Mapping[str, Tensor] | None) -> dict[str, Tensor]:
+    """The weights (k, ...) of the models to ask, layer by layer; those of the policy, as one model, for None."""
+    if weights is None:
+        weights = {name: tensor.unsqueeze(0) for name, tensor in policy.named_parameters()}
+    names = [f"layers.{i}" for i, layer in enumerate(policy.layers) if isinstance(layer, nn.Linear)] + ["head"]
+    shapes = {}
+    for name, (wide, high) in zip(names, pairwise((12, *policy.hidden, 4)), strict=True):
+        shapes |= {f"{name}.weight": f"k {high} {wide}", f"{name}.bias": f"k {high}"}
+    check_tensors(CPU, **{f"weights.{name}": (weights.get(name), shape) for name, shape in shapes.items()})
+    return {name: weights[name].detach() for name in shapes}
+
+
+def _check_asked(observation: np.ndarray, which: np.ndarray | None, models: int) -> None:
+    """By hand, as it is asked in every tick."""
+    floats = isinstance(observation, np.ndarray) and observation.dtype.kind == "f"
+    if not floats or observation.ndim != 2 or observation.shape[1] != 12:
+        raise ValueError(f"observation: {kind_of(observation)}, must be an array of floats of shape (n, 12)")
+    if which is not None:
+        check_rows("which", which, models)
+        if len(which) != len(observation):
+            raise ValueError(f"which: of {len(which)} rows, must be of {len(observation)} as observation")
+
+
 class RowByRow:
     """One or several models of an architecture, for rows that each ask one of them.
 
@@ -83,20 +108,15 @@ class RowByRow:
     """
 
     def __init__(self, policy: GaussianPolicy, weights: Mapping[str, Tensor] | None = None) -> None:
-        if weights is None:
-            weights = {name: tensor.unsqueeze(0) for name, tensor in policy.named_parameters()}
-        names = [f"layers.{i}" for i, layer in enumerate(policy.layers) if isinstance(layer, nn.Linear)] + ["head"]
-        parts = [
-            part
-            for name in names
-            for part in (weights[f"{name}.weight"].transpose(1, 2).flatten(1), weights[f"{name}.bias"])
-        ]
-        self._weights = torch.cat([part.detach() for part in parts], dim=1).float().contiguous().numpy()
+        weights = _stacked(policy, weights)
+        parts = [part.transpose(1, 2).flatten(1) if part.ndim == 3 else part for part in weights.values()]
+        self._weights = torch.cat(parts, dim=1).float().contiguous().numpy()
         self._sizes = (12, *policy.hidden, 4)
         self._from_paddle, self._scale = policy.inputs.origin == PADDLE, policy.inputs.scale.numpy().copy()
 
     def __call__(self, observation: np.ndarray, which: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Mean and STD (n, 2), float32, at observations (n, 12), of models `which` (n,) int64, of the first if None."""
+        _check_asked(observation, which, len(self._weights))
         n = len(observation)
         # Model by model: the models of many users do not fit into a cache, and each is fetched once.
         rows = np.arange(n) if which is None else np.argsort(which, kind="stable")
@@ -124,14 +144,13 @@ class AllAtOnce:
     def __init__(
         self, policy: GaussianPolicy, weights: Mapping[str, Tensor] | None = None, device: str = "cpu"
     ) -> None:
-        if weights is None:
-            weights = {name: tensor.unsqueeze(0) for name, tensor in policy.named_parameters()}
         self._policy, self._device = copy.deepcopy(policy).to(device), device
-        self._weights = {name: tensor.detach().to(device) for name, tensor in weights.items()}
+        self._weights = {name: tensor.float().to(device) for name, tensor in _stacked(policy, weights).items()}
 
     @torch.no_grad()
     def __call__(self, observation: np.ndarray, which: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Mean and STD (n, 2), float32, at observations (n, 12), of models `which` (n,) int64, of the first if None."""
+        _check_asked(observation, which, len(self._weights["head.bias"]))
         asked = torch.from_numpy(observation).float().to(self._device)
         if which is None:
             models, asked = torch.zeros(1, dtype=torch.int64), asked[None]

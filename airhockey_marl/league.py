@@ -6,11 +6,13 @@ import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 
 from airhockey_marl.anchors import ANCHORS
+from airhockey_marl.checks import check_counts, check_tensors
 from airhockey_marl.files import load_tensors, save_tensors
 from airhockey_marl.policy import GaussianPolicy
 
@@ -44,14 +46,16 @@ class League:
         Raises:
             ValueError: there is no such generation.
         """
-        if not -len(self) <= index < len(self):
+        if not isinstance(index, int | np.integer) or not -len(self) <= index < len(self):
             raise ValueError(f"generation = {index} must be below {len(self)}, the number of generations")
         return self.snapshots[index]
 
     def until(self, index: int) -> "League":
-        """The league as it was when generation `index` was its newest."""
+        """The league as it was when generation `index` was its newest; see `generation` for the index."""
+        self.generation(index)
         league = League(self.policy)
-        league.snapshots, league.hashes = self.snapshots[: index + 1], self.hashes[: index + 1]
+        many = index % len(self) + 1
+        league.snapshots, league.hashes = self.snapshots[:many], self.hashes[:many]
         return league
 
     def player(self, index: int) -> GaussianPolicy:
@@ -175,7 +179,15 @@ class Lineup(nn.Module):
         """The line-up that sits at tables `first` to before `last`, where this one sits at `of` tables.
 
         A member of whose tables only some are among them is there with these; one with many may be named repeatedly.
+
+        Raises:
+            ValueError: there are no such tables, or the members cannot share them evenly.
         """
+        check_counts(0, first=first)
+        check_counts(first + 1, last=last)
+        check_counts(last, of=of)
+        if of % len(self.members):
+            raise ValueError(f"of = {of} tables, must be a multiple of {len(self.members)} members")
         each = of // len(self.members)
         block = math.gcd(each, first, last)  # tables that surely have the same member
         places = [table // each for table in range(first, last, block)]
@@ -186,6 +198,7 @@ class Lineup(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""
+        check_tensors(observation=(observation, "... 12"))
         if len(observation) % len(self.members):
             raise ValueError(
                 f"observation: {len(observation)} tables, must be a multiple of {len(self.members)} members"

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from airhockey_marl.checks import CPU, check_counts, check_tensors
 from airhockey_marl.env import OBSERVATION_SIZE, steps_of
 from airhockey_marl.table import LEFT, RIGHT, Table
 from airhockey_marl.tables import Tables
@@ -43,6 +44,17 @@ def sampled(policy: Callable[[Tensor], tuple[Tensor, Tensor]], generator: torch.
     return play
 
 
+def answer(player: Player, seen: np.ndarray) -> np.ndarray:
+    """A player's actions (n, 2) for observations (n, 12).
+
+    Raises:
+        ValueError: it answers with something else.
+    """
+    said = player(torch.from_numpy(seen))
+    check_tensors(CPU, player=(said, f"{len(seen)} 2"))
+    return said.numpy()
+
+
 @torch.no_grad()
 def play_rounds(
     left: Player,
@@ -58,7 +70,11 @@ def play_rounds(
 
     Returns:
         (tables, 3) int: rounds won by the left player, lost, and undecided, as in `Result`.
+
+    Raises:
+        ValueError: a number is out of range, or a player answers with something else than actions.
     """
+    check_counts(tables=tables, rounds=rounds)
     games = Tables(tables, table)
     games.seed(seed)
     games.new_rounds()
@@ -68,7 +84,7 @@ def play_rounds(
     score, steps = np.zeros((tables, 3), dtype=np.int64), np.zeros(tables, dtype=np.int64)
     while (score.sum(axis=1) < rounds).any():
         for seat, player in ((LEFT, left), (RIGHT, right)):
-            actions[:, seat] = player(torch.from_numpy(games.observe(seat, seen[seat]))).numpy()
+            actions[:, seat] = answer(player, games.observe(seat, seen[seat]))
         games.step(actions, decision_ticks)
         steps += 1
         over = (games.goals != 0) | (steps >= longest)
@@ -86,11 +102,13 @@ def play_matches(
 
     The players know by the table which match it is, as a line-up does; see `play_rounds` for the options.
     """
+    check_counts(matches=matches, tables=tables)
     score = play_rounds(left, right, matches * tables, rounds, seed, **options)
     return [Result(*total) for total in score.reshape(matches, tables, 3).sum(axis=1).tolist()]
 
 
 def play_match(left: Player, right: Player, rounds: int, seed: int, **options: Any) -> Result:
     """Play `rounds` rounds side by side, one per table; see `play_rounds` for the options."""
+    check_counts(rounds=rounds)
     (result,) = play_matches(left, right, 1, rounds, 1, seed, **options)
     return result

@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from airhockey_marl.checks import check_counts, check_tensors
+
 OPTIMAL_ACTION_HIDDEN = (64, 64)  # section 3.2.1: what the paper's grid search found
 USER_PREDICTION_HIDDEN = (80, 80, 80, 80)
 
@@ -36,17 +38,17 @@ class Inputs(nn.Module):
         self.register_buffer("scale", scale, persistent=False)
 
     def forward(self, observation: Tensor) -> Tensor:
-        if observation.shape[-1:] != (12,) or not observation.is_floating_point():
-            raise ValueError(
-                f"observation: {observation.dtype} of {tuple(observation.shape)}, must be floats (..., 12)"
-            )
+        scale = self.scale
+        sound = isinstance(observation, Tensor) and observation.shape[-1:] == (12,) and observation.is_floating_point()
+        if not sound or observation.device != scale.device:  # by hand: it is asked in every tick
+            check_tensors(scale.device, observation=(observation, "... 12"))
         if self.origin == TABLE:
-            return observation / self.scale
+            return observation / scale
         place = observation[..., 8:10] - observation[..., 0:2]
-        return torch.cat([observation[..., :8], place, observation[..., 10:]], dim=-1) / self.scale
+        return torch.cat([observation[..., :8], place, observation[..., 10:]], dim=-1) / scale
 
 
-def check_hidden(hidden: Any) -> None:
+def check_hidden(hidden: Any, name: str = "hidden") -> None:
     """Refuse what are no sizes of hidden layers, or of a network larger than any of this project could be.
 
     Raises:
@@ -55,10 +57,10 @@ def check_hidden(hidden: Any) -> None:
     sized = isinstance(hidden, Sequence) and not isinstance(hidden, str) and len(hidden) > 0
     if not sized or not all(isinstance(size, int) and not isinstance(size, bool) and size >= 1 for size in hidden):
         shown = tuple(hidden) if isinstance(hidden, Sequence) and not isinstance(hidden, str) else hidden
-        raise ValueError(f"hidden = {shown!r} must name at least one layer, each of at least 1 unit")
+        raise ValueError(f"{name} = {shown!r} must name at least one layer, each of at least 1 unit")
     weights = sum(a * b for a, b in itertools.pairwise((12, *hidden, 4)))
     if weights > MOST_WEIGHTS:
-        raise ValueError(f"hidden = {tuple(hidden)} makes {weights} weights, must be at most {MOST_WEIGHTS}")
+        raise ValueError(f"{name} = {tuple(hidden)} makes {weights} weights, must be at most {MOST_WEIGHTS}")
 
 
 class GaussianPolicy(nn.Module):
@@ -116,6 +118,8 @@ class GaussianPolicy(nn.Module):
         def linear(name: str, inputs: Tensor) -> Tensor:
             return torch.baddbmm(weights[f"{name}.bias"].unsqueeze(1), inputs, weights[f"{name}.weight"].mT)
 
+        models = len(weights["head.bias"]) if "head.bias" in weights else 0
+        check_tensors(observation=(observation, f"{models} n 12"))
         hidden = self.inputs(observation)
         for index, layer in enumerate(self.layers):
             hidden = linear(f"layers.{index}", hidden) if isinstance(layer, nn.Linear) else layer(hidden)
@@ -143,6 +147,8 @@ def relu_layers(inputs: int, hidden: Sequence[int], activation: type[nn.Module] 
     They begin orthogonal, at a scale that keeps activations about as large as the inputs, which on-policy learning
     wants (Andrychowicz et al. 2021, section 3.2); torch's own beginnings shrink them layer by layer.
     """
+    check_counts(inputs=inputs)
+    check_hidden(hidden)
     sizes, layers = (inputs, *hidden), []
     for a, b in itertools.pairwise(sizes):
         linear = nn.Linear(a, b)

@@ -15,6 +15,7 @@ from torch import nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
+from airhockey_marl.checks import check_counts, check_numbers, check_view, labelled
 from airhockey_marl.trpo import advantages, kl_divergence
 
 
@@ -43,14 +44,10 @@ class PPO:
     critic: Callable[[], nn.Module]
 
     def __post_init__(self) -> None:
-        for name in ("clip", "epochs", "minibatch", "lr", "critic_coefficient", "max_grad_norm"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"algorithm.{name} = {getattr(self, name)} must be above 0")
-        if not self.entropy_coefficient >= 0:
-            raise ValueError(f"algorithm.entropy_coefficient = {self.entropy_coefficient} must be at least 0")
-        for name in ("clip", "gae_lambda"):
-            if not 0 < getattr(self, name) <= 1:
-                raise ValueError(f"algorithm.{name} = {getattr(self, name)} must be above 0 and at most 1")
+        check_counts(**labelled(self, "algorithm", "epochs", "minibatch"))
+        check_numbers(above=0.0, **labelled(self, "algorithm", "lr", "critic_coefficient", "max_grad_norm"))
+        check_numbers(above=0.0, at_most=1.0, **labelled(self, "algorithm", "clip", "gae_lambda"))
+        check_numbers(0.0, **labelled(self, "algorithm", "entropy_coefficient"))
 
     def learner(self, policy: nn.Module, gamma: float) -> "ClippedSurrogate":
         """Begin to train `policy`, observations to (mean, STD); `gamma` is per decision."""
@@ -61,6 +58,7 @@ class ClippedSurrogate:
     """PPO at work on one policy: advantages, then epochs of minibatches for policy and critic."""
 
     def __init__(self, settings: PPO, policy: nn.Module, gamma: float) -> None:
+        check_numbers(0.0, at_most=1.0, gamma=gamma)
         self.settings, self.policy = settings, policy
         self.critic = settings.critic().to(next(policy.parameters()).device)
         self.actor = gaussian_actor(policy)
@@ -91,6 +89,7 @@ class ClippedSurrogate:
             What to log: kl of the old policy from the new one, mean STD before, critic loss (mean squared error over
             the epochs).
         """
+        check_view(view, "action")
         advantage, target = advantages(self.critic, view, self.gamma, self.settings.gae_lambda)
         batch = view.select("observation", "action").reshape(-1)
         advantage, batch["value_target"] = advantage.flatten(0, 1), target.flatten(0, 1)

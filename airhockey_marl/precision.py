@@ -20,8 +20,9 @@ import pandas as pd
 import torch
 from torch import Tensor
 
+from airhockey_marl.checks import check_arrays, check_counts, check_numbers
 from airhockey_marl.env import OBSERVATION_SIZE, steps_of
-from airhockey_marl.match import DECISION_TICKS, Player
+from airhockey_marl.match import DECISION_TICKS, Player, answer
 from airhockey_marl.table import LEFT, RIGHT, TOUCHED_BY, Table
 from airhockey_marl.tables import Tables
 
@@ -67,6 +68,8 @@ def record(
     table: Table | None = None,
 ) -> Play:
     """Let a policy play, sampled as in training, and write down what it saw, meant and did for `seconds` per table."""
+    check_counts(0, seed=seed)
+    check_numbers(above=0.0, seconds=seconds)
     games, generator = Tables(tables, table), torch.Generator().manual_seed(seed)
     games.seed(seed)
     games.new_rounds()
@@ -81,7 +84,7 @@ def record(
         mean[now], std[now] = its_mean, its_std
         action[now] = its_mean + its_std * torch.randn(its_mean.shape, generator=generator)
         both[:, LEFT] = action[now]
-        both[:, RIGHT] = opponent(torch.from_numpy(games.observe(RIGHT, facing)))
+        both[:, RIGHT] = answer(opponent, games.observe(RIGHT, facing))
         games.step(both, decision_ticks)
         steps += 1
         over = (games.goals != 0) | (steps >= longest)
@@ -96,6 +99,7 @@ def seconds_to_goal(observation: np.ndarray, table: Table) -> np.ndarray:
 
     It goes straight on, without drag, and the side walls turn it back with their restitution.
     """
+    check_arrays(observation=(observation, "... 12"))
     x, y, vx, vy = np.moveaxis(observation[..., 8:12].astype(np.float64), -1, 0)
     side = table.width / 2 - table.puck_radius
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -134,6 +138,7 @@ def precision(play: Play, seed: int = 0) -> pd.DataFrame:
         high, along and across (the mean STD of either axis), and difference, difference_low, difference_high: std less
         that of "puck far away". Not a number where a situation did not occur, or not in every resample.
     """
+    check_counts(0, seed=seed)
     tables = play.std.shape[1]
     here = situations(play)[..., None] == np.arange(len(SITUATIONS))  # (T, n, situations)
     here = np.concatenate([here, np.ones_like(here[..., :1])], axis=-1)
@@ -171,6 +176,8 @@ def std_map(play: Play, toward: bool, cells: tuple[int, int] = (30, 16), least: 
         than `least` decisions.
     """
     along, across = cells
+    check_counts(**{"cells[0]": along, "cells[1]": across})
+    check_counts(0, least=least)
     seen = play.observation.reshape(-1, OBSERVATION_SIZE)
     chosen = (seen[:, 10] < 0) == toward
     bounds = [[-play.table.width / 2, play.table.width / 2], [-play.table.length / 2, play.table.length / 2]]

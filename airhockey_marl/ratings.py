@@ -6,6 +6,7 @@ from the sums of won rounds alone, so the order in which they were played cannot
 
 from collections.abc import Callable, Sequence
 from math import log
+from numbers import Integral
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,7 @@ import torch
 from scipy import stats
 from scipy.sparse.csgraph import connected_components
 
+from airhockey_marl.checks import check_arrays, check_counts, check_numbers
 from airhockey_marl.league import League, Member
 from airhockey_marl.match import DECISION_TICKS, play_matches, sampled
 
@@ -37,6 +39,9 @@ class Share(NamedTuple):
     @classmethod
     def of(cls, successes: int, trials: int) -> "Share":
         """Not a number, between 0 and 1, if there were no trials."""
+        check_counts(0, successes=successes, trials=trials)
+        if successes > trials:
+            raise ValueError(f"successes = {successes} must be at most trials = {trials}")
         if not trials:
             return cls(float("nan"), 0.0, 1.0, 0)
         low, high = stats.binomtest(int(successes), int(trials)).proportion_ci(method="wilson")
@@ -102,8 +107,8 @@ def play_pairs(
     Raises:
         ValueError: no rounds, or a member is not there.
     """
-    if rounds < 1 or tables_per_pair < 1:
-        raise ValueError(f"rounds = {rounds} and tables_per_pair = {tables_per_pair} must be at least 1")
+    check_counts(rounds=rounds, tables_per_pair=tables_per_pair, decision_ticks=decision_ticks)
+    check_counts(0, seed=seed)
     tables = max(n for n in range(1, tables_per_pair + 1) if rounds % n == 0)
     generator = torch.Generator().manual_seed(seed)
     score = np.zeros((len(pairs), 3), dtype=np.int64)
@@ -144,6 +149,7 @@ def payoff(
 
 def win_rates(score: np.ndarray) -> np.ndarray:
     """Share of the decided rounds that the row won, from (..., 3); not a number where none was decided."""
+    check_arrays(score=(score, "... 3"))
     decided = score[..., 0] + score[..., 1]
     return np.where(decided > 0, score[..., 0] / np.maximum(decided, 1), np.nan)
 
@@ -165,10 +171,13 @@ def rate(wins: np.ndarray, reference: int, prior_rounds: float = PRIOR_ROUNDS) -
         ValueError: wins are not counts, or `prior_rounds` is 0 and somebody cannot be compared with the reference, not
             even by way of others.
     """
-    wins = np.array(wins, dtype=np.float64)
-    k = len(wins)
-    if wins.shape != (k, k) or not np.isfinite(wins).all() or (wins < 0).any():
-        raise ValueError(f"wins of shape {wins.shape} must be counts of at least 0, (k, k)")
+    check_arrays(wins=(np.asarray(wins), "k k"))
+    check_numbers(0.0, prior_rounds=prior_rounds)
+    wins, k = np.array(wins, dtype=np.float64), len(wins)
+    if not np.isfinite(wins).all() or (wins < 0).any():
+        raise ValueError(f"wins = {wins[~(wins >= 0) | np.isinf(wins)][0]:g} must be counts of at least 0")
+    if not isinstance(reference, Integral) or not -k <= reference < k:
+        raise ValueError(f"reference = {reference!r} must be the place of one of {k} members")
     np.fill_diagonal(wins, 0.0)  # whoever plays himself learns nothing about his strength
     everybody = wins
     if prior_rounds:
@@ -190,12 +199,16 @@ def rate(wins: np.ndarray, reference: int, prior_rounds: float = PRIOR_ROUNDS) -
 
 def gains(members: Sequence[Member], wins: np.ndarray, over: Member) -> dict[Member, Gain]:
     """How far everybody is rated above `over`; see `rate`."""
+    check_arrays(wins=(wins, f"{len(members)} {len(members)}"))
+    if over not in members:
+        raise ValueError(f"over = {over!r} must be one of {', '.join(map(str, members))}")
     rated = np.stack(rate(wins, list(members).index(over)), axis=1)
     return {member: Gain(*row) for member, row in zip(members, rated.tolist(), strict=True)}
 
 
 def misfit(wins: np.ndarray, rating: np.ndarray) -> Misfit:
     """How far the win rates are from those that the ratings (k,) foretell; see `Misfit`."""
+    check_arrays(wins=(wins, "k k"), rating=(np.asarray(rating), "k"))
     rows, columns = np.triu_indices(len(wins), 1)
     rounds, chance = (wins + wins.T)[rows, columns], _logistic(np.asarray(rating) / ELO)[rows, columns]
     freedom = np.count_nonzero(rounds) - (len(wins) - 1)

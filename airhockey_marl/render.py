@@ -6,6 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
+from airhockey_marl.checks import check_arrays, check_counts
 from airhockey_marl.table import LEFT, PUCK, RIGHT, Table, X, Y
 
 # Okabe and Ito's palette: told apart by colour-blind people too.
@@ -81,6 +82,8 @@ def draw_table(bodies: np.ndarray, table: Table, width: int = 640) -> np.ndarray
     Returns:
         (height, width, 3) uint8.
     """
+    check_arrays(bodies=(bodies, "3 4"))
+    check_counts(width=width)
     view = View(table, width)
     image = empty_table(view)
     draw_bodies(ImageDraw.Draw(image), view, bodies)

@@ -5,7 +5,9 @@ A run that was killed writes nothing any more. That it is over is seen from its 
 
 import json
 import os
+import re
 import socket
+import sys
 import time
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -13,7 +15,7 @@ from typing import Any
 
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from airhockey_marl.files import write_json
 
@@ -113,22 +115,40 @@ def runs_below(outputs: Path) -> list[Run]:
 
 def _command_of(folder: Path) -> str:
     """What Hydra wrote down of a run that is older than run.json."""
+    name = re.search(r"(?m)^    config_name: (\w+)$", _beginning(folder / ".hydra" / "hydra.yaml"))
+    return name.group(1) if name else "?"
+
+
+def _beginning(file: Path) -> str:
+    """A file's first megabyte, or nothing: of a folder of anybody's, where yaml could be without end."""
     try:
-        return str(OmegaConf.select(OmegaConf.load(folder / ".hydra" / "hydra.yaml"), "hydra.job.config_name") or "?")
-    except (OSError, ValueError):
-        return "?"
+        with file.open(encoding="utf-8", errors="replace") as handle:
+            return handle.read(1_000_000)
+    except OSError:
+        return ""
 
 
 class Record(Callback):
     """Hydra tells it of each job's beginning and end, in the job's own process; it writes run.json.
 
+    A run is refused where it would write over another one's files, before Hydra writes its own.
+
     A run that goes on with an earlier one (`resume`) speaks for that one's folder as well. A command that keeps nothing
     of what was typed (`hydra.output_subdir: null`, as for a session with a person) is not written down.
     """
 
+    def on_run_start(self, config: DictConfig, **_: Any) -> None:
+        """Refuse the folder of a run that there is something to lose of; one that goes on keeps its log elsewhere."""
+        if config.hydra.output_subdir is not None:
+            _require_free(Path(config.hydra.run.dir), "hydra.run.dir")
+
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
-        """Make the sweep's folder, which stands above a search's database, before anybody writes there."""
-        Path(config.hydra.sweep.dir).mkdir(parents=True, exist_ok=True)
+        """Likewise for a sweep's jobs; and make its folder, which stands above a search's database."""
+        sweep = Path(config.hydra.sweep.dir)
+        for job in sorted(sweep.glob("*")):  # what a job's folder is called is known, if not how many there will be
+            if job.name.isdecimal():
+                _require_free(job, "hydra.sweep.dir")
+        sweep.mkdir(parents=True, exist_ok=True)
 
     def on_job_start(self, config: DictConfig, **_: Any) -> None:
         """Write that the job is running."""
@@ -147,6 +167,31 @@ class Record(Callback):
         end = {"status": "failed" if failed else "done", "error": error}
         for run in self._runs:
             Run(**vars(run) | end | {"seconds": round(time.time() - run.started, 1)}).write()
+
+
+def what_is_lost(folder: Path) -> str | None:
+    """What a run would write over in this folder, in words; None if there is nothing to lose.
+
+    A run that failed or was interrupted before it could be resumed has left nothing that anybody could use; and one of
+    which there is only a log, as where it went on with another, nothing at all.
+    """
+    run = read_run(folder)
+    if run.resumable:
+        return f"a run that can be gone on with: resume={folder}"
+    if run.state == "running":
+        return "a run that is running"
+    if run.state in ("failed", "interrupted") or not (folder / ".hydra").is_dir():
+        return None
+    kept = [path.name for path in folder.iterdir() if not path.name.startswith(".") and path.suffix != ".log"]
+    kept = sorted({*kept} - {RECORD})
+    return f"a run that has left {', '.join(kept[:3])}" if kept else None
+
+
+def _require_free(folder: Path, key: str) -> None:
+    """Refuse a folder by the one exception that Hydra lets a callback raise; `cli.command` says it in one line."""
+    if lost := what_is_lost(folder):
+        print(f"{key}: {folder} holds {lost}; a run must have a folder of its own", file=sys.stderr)
+        sys.exit(2)
 
 
 def _folders(config: DictConfig) -> list[Path]:

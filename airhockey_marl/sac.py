@@ -24,7 +24,8 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import SACLoss, SoftUpdate, ValueEstimators
 
-from airhockey_marl.policy import PADDLE, Inputs, relu_layers
+from airhockey_marl.checks import check_counts, check_numbers, check_tensors, check_view, labelled
+from airhockey_marl.policy import PADDLE, Inputs, check_hidden, relu_layers
 from airhockey_marl.ppo import gaussian_actor
 
 
@@ -56,21 +57,18 @@ class SAC:
     q_hidden: Sequence[int]
 
     def __post_init__(self) -> None:
-        positive = ("capacity", "updates", "minibatch", "policy_lr", "q_lr", "temperature_lr", "tau", "temperature")
-        for name in positive:
-            if not getattr(self, name) > 0:
-                raise ValueError(f"algorithm.{name} = {getattr(self, name)} must be above 0")
-        if not self.tau <= 1:
-            raise ValueError(f"algorithm.tau = {self.tau} must be above 0 and at most 1")
-        if not self.outside_cost >= 0:
-            raise ValueError(f"algorithm.outside_cost = {self.outside_cost} must be at least 0")
+        check_counts(**labelled(self, "algorithm", "capacity", "updates", "minibatch"))
+        rates = ("policy_lr", "q_lr", "temperature_lr", "temperature")
+        check_numbers(above=0.0, **labelled(self, "algorithm", *rates))
+        check_numbers(above=0.0, at_most=1.0, **labelled(self, "algorithm", "tau"))
+        check_numbers(0.0, **labelled(self, "algorithm", "outside_cost"))
+        check_numbers(**labelled(self, "algorithm", "target_entropy"))
         if not self.target_entropy < MAX_ENTROPY:
             raise ValueError(
                 f"algorithm.target_entropy = {self.target_entropy} must be below {MAX_ENTROPY:.2f}, "
                 "the entropy of two Gaussians with STD 1"
             )
-        if not self.q_hidden or min(self.q_hidden) < 1:
-            raise ValueError(f"algorithm.q_hidden = {list(self.q_hidden)} must name layers of at least 1 unit each")
+        check_hidden(self.q_hidden, "algorithm.q_hidden")
 
     def learner(self, policy: nn.Module, gamma: float) -> "SoftActorCritic":
         """Begin to train `policy`, observations to (mean, STD); `gamma` is per decision."""
@@ -85,11 +83,13 @@ class QNetwork(nn.Module):
 
     def __init__(self, hidden: Sequence[int]) -> None:
         super().__init__()
+        check_hidden(hidden)
         self.inputs = Inputs(PADDLE)
         self.layers = nn.Sequential(*relu_layers(14, tuple(hidden)), nn.Linear(hidden[-1], 1))
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """Map observations (..., 12) and actions (..., 2) to values (..., 1)."""
+        check_tensors(observation=(observation, "... 12"), action=(action, "... 2"))
         return self.layers(torch.cat([self.inputs(observation), action.clamp(-1.0, 1.0)], dim=-1))
 
 
@@ -107,6 +107,7 @@ class Memory(nn.Module):
 
     def __init__(self, capacity: int) -> None:
         super().__init__()
+        check_counts(capacity=capacity)
         for name, width in self.WIDTHS.items():
             self.register_buffer(name, torch.zeros(capacity, width))
         self.register_buffer("terminated", torch.zeros(capacity, 1, dtype=torch.bool))
@@ -117,6 +118,7 @@ class Memory(nn.Module):
 
     def extend(self, view: TensorDictBase) -> None:
         """Remember a batch of play, see `learner.Learner`; the oldest makes room."""
+        check_view(view, "action")
         flat, capacity = view.reshape(-1), len(self.reward)
         flat = flat[-capacity:]
         place = (self.written + torch.arange(len(flat), device=self.written.device)) % capacity
@@ -131,6 +133,7 @@ class Memory(nn.Module):
         A round that was cut off is not over: only `terminated` is told, and the value of what would have followed
         counts.
         """
+        check_counts(number=number)
         place = torch.randint(len(self), (number,))
         over = self.terminated[place]
         following = {
@@ -148,6 +151,7 @@ class SoftActorCritic:
     """SAC at work on one policy."""
 
     def __init__(self, settings: SAC, policy: nn.Module, gamma: float) -> None:
+        check_numbers(0.0, at_most=1.0, gamma=gamma)
         device = next(policy.parameters()).device
         self.settings, self.policy, self.memory = settings, policy, Memory(settings.capacity).to(device)
         networks = [

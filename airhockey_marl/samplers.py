@@ -9,6 +9,8 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from airhockey_marl.checks import check_counts, check_numbers
+
 
 class Standing(NamedTuple):
     """The pool as a learner finds it: the generations, oldest first, then the anchors.
@@ -48,7 +50,8 @@ class DeltaUniform:
     delta: float
 
     def __post_init__(self) -> None:
-        if not 0 <= self.delta < 1:
+        check_numbers(0.0, delta=self.delta)
+        if not self.delta < 1:
             raise ValueError(f"delta = {self.delta} must be at least 0 and below 1")
 
     def chances(self, standing: Standing) -> np.ndarray:
@@ -123,6 +126,9 @@ class Curriculum:
     first: Sampler
     then: Sampler
     generation: int
+
+    def __post_init__(self) -> None:
+        check_counts(0, generation=self.generation)
 
     def chances(self, standing: Standing) -> np.ndarray:
         return (self.first if standing.generations < self.generation else self.then).chances(standing)

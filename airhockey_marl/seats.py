@@ -7,6 +7,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import nn
 
+from airhockey_marl.checks import check_numbers
 from airhockey_marl.shaping import Shaping
 
 LEARNER, OPPONENT = "left", "right"  # seats are alike, so the learner always takes the left one
@@ -62,6 +63,8 @@ class Seat(nn.Module):
 
 def learner_view(data: TensorDictBase, shaping: Shaping, strength: float, gamma: float) -> TensorDictBase:
     """What one seat lived through: (tables, ticks) with observation (.., 12), action (.., 2), reward (.., 1), next."""
+    check_numbers(0.0, strength=strength)
+    check_numbers(0.0, at_most=1.0, gamma=gamma)
     view = data.select((LEARNER, "observation"), (LEARNER, "action"))[LEARNER].squeeze(-1)
     following = data["next"].select("done", "terminated", "truncated")
     following["observation"] = data["next", LEARNER, "observation"].squeeze(-2)

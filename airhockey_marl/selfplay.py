@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from tensordict import TensorDictBase
 
+from airhockey_marl.checks import check_arrays, check_counts, check_numbers
 from airhockey_marl.collecting import Crew
 from airhockey_marl.guards import require_finite_parts, require_sound
 from airhockey_marl.league import League, Lineup, Member
@@ -27,6 +28,7 @@ class Practice:
     """
 
     def __init__(self, crew: Crew, policy: GaussianPolicy, shaping: Shaping, gamma: float) -> None:
+        check_numbers(0.0, at_most=1.0, gamma=gamma)
         self.crew, self.policy, self.shaping, self.gamma = crew, policy, shaping, gamma
         self.device = next(policy.parameters()).device
 
@@ -41,6 +43,8 @@ class Practice:
         Raises:
             FloatingPointError: learning has gone wrong for good, see `guards`.
         """
+        check_counts(self.crew.batch, steps=steps)
+        check_numbers(0.0, at_most=1.0, strength=strength)
         self.crew.begin(opponents)  # a generation depends on nothing but the league, the learner, the random numbers
         history, goals = [], np.zeros((len(opponents.members), 2), dtype=np.int64)
         for _ in range(steps // self.crew.batch):
@@ -57,7 +61,11 @@ class Practice:
 
 def goals_of(play: TensorDictBase, members: int) -> np.ndarray:
     """Goals scored and conceded (members, 2) by the learner, by blocks of tables: one for each of a line-up."""
-    reward = play["next", LEARNER, "reward"].reshape(members, -1)
+    check_counts(members=members)
+    reward = play["next", LEARNER, "reward"]
+    if len(reward) % members:
+        raise ValueError(f"members = {members} must share {len(reward)} tables evenly")
+    reward = reward.reshape(members, -1)
     return torch.stack([(reward > 0).sum(1), (reward < 0).sum(1)], dim=1).numpy()
 
 
@@ -69,6 +77,7 @@ class Pool:
     """
 
     def __init__(self, league: League, anchors: Sequence[str], sampler: Sampler, memory: float) -> None:
+        check_numbers(0.0, at_most=1.0, memory=memory)
         self.league, self.anchors, self.sampler, self.memory = league, list(anchors), sampler, memory
         self.goals: dict[Member, list[float]] = {}  # scored and conceded, fading
 
@@ -83,11 +92,13 @@ class Pool:
 
     def draw(self, number: int, rng: np.random.Generator) -> Lineup:
         """A line-up of `number` members; one can be in it more than once."""
+        check_counts(number=number)
         drawn = rng.choice(len(self.members), size=number, p=self.sampler.chances(self.standing()))
         return self.league.lineup([self.members[index] for index in sorted(drawn)])
 
     def remember(self, members: Sequence[Member], goals: np.ndarray) -> None:
         """Take note of goals scored and conceded (k, 2) against each of a line-up."""
+        check_arrays(goals=(goals, f"{len(members)} 2"))
         self.goals = {member: [self.memory * count for count in counts] for member, counts in self.goals.items()}
         for member, counts in zip(members, goals.tolist(), strict=True):
             before = self.goals.get(member, [0.0, 0.0])
@@ -98,6 +109,8 @@ def results_against(
     player: GaussianPolicy, opponents: Lineup, rounds: int, seed: int, decision_ticks: int
 ) -> dict[Member, Result]:
     """A match of one policy against each of a line-up of different members, each side sampling as in training."""
+    check_counts(rounds=rounds)
+    check_counts(0, seed=seed)
     generator = torch.Generator().manual_seed(seed)
     left, right = sampled(player, generator), sampled(opponents, generator)
     results = play_matches(left, right, len(opponents.members), rounds, 1, seed, decision_ticks=decision_ticks)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from airhockey_marl.checks import check_counts, check_numbers, check_tensors, kind_of, labelled
 from airhockey_marl.policy import BODY_SCALE
 from airhockey_marl.table import Table
 
@@ -31,8 +32,12 @@ class Shaping:
 
     BEHIND = 0.08  # m: paddle and puck touching
 
+    def __post_init__(self) -> None:
+        check_numbers(0.0, **labelled(self, "shaping", "position", "velocity", "shot", "approach"))
+
     def potential(self, observation: Tensor) -> Tensor:
         """Potential (..., 1) of observations (..., 12)."""
+        check_tensors(observation=(observation, "... 12"))
         half, _, fast, _ = BODY_SCALE
         paddle, puck = observation[..., 0:2], observation[..., 8:10]
         behind = torch.stack([puck[..., 0].clamp(max=0.0) - self.BEHIND, puck[..., 1]], dim=-1)
@@ -43,11 +48,19 @@ class Shaping:
 
     def reward(self, observation: Tensor, following: Tensor, terminated: Tensor, gamma: float) -> Tensor:
         """What to add to the reward of a transition: gamma phi(s') - phi(s), with phi(s') = 0 after the end."""
+        check_tensors(observation=(observation, "... 12"), following=(following, "... 12"))
+        flags = isinstance(terminated, Tensor) and terminated.dtype == torch.bool
+        if not flags or terminated.shape != (*observation.shape[:-1], 1) or terminated.device != observation.device:
+            shape = (*observation.shape[:-1], 1)
+            raise ValueError(f"terminated: {kind_of(terminated)}, must be bools {shape} on {observation.device}")
+        check_numbers(0.0, at_most=1.0, gamma=gamma)
         return gamma * self.potential(following) * ~terminated - self.potential(observation)
 
 
 def fading(generation: int, generations: int) -> float:
     """The strength of shaping in a generation, counted from 1: from 1 to nothing over the first `generations`."""
+    check_counts(generation=generation)
+    check_counts(0, generations=generations)
     return max(0.0, 1.0 - (generation - 1) / generations) if generations else 0.0
 
 
@@ -57,6 +70,7 @@ def on_goal(observation: Tensor) -> Tensor:
     1 in the middle of the goal, falling off as a Gaussian over its half width. Its path is followed over the side
     walls as over mirrors: what a bounce takes from its speed is neglected.
     """
+    check_tensors(observation=(observation, "... 12"))
     x, y, vx, vy = observation[..., 8:12].split(1, dim=-1)
     side = TABLE.width / 2 - TABLE.puck_radius
     seconds = (TABLE.length / 2 - x * vx.sign()) / vx.abs().clamp(min=TABLE.stall_speed)

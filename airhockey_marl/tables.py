@@ -2,11 +2,11 @@
 
 from math import cos, floor, hypot, pi, sin
 from numbers import Integral
-from typing import Any
 
 import numpy as np
 from numba import njit
 
+from airhockey_marl.checks import check_rows, kind_of
 from airhockey_marl.parallel import over_rows
 from airhockey_marl.table import LEFT, PUCK, RIGHT, VX, VY, Table, X, Y, check_table, clamp, compiled, tick
 
@@ -119,11 +119,6 @@ def observe(bodies, seat, out):
             out[index, 8 + column] = turn * bodies[index, PUCK, column]
 
 
-def _seen(value: Any) -> str:
-    """Of what type and shape something is."""
-    return f"{value.dtype} of shape {value.shape}" if isinstance(value, np.ndarray) else type(value).__name__
-
-
 class Tables:
     """n tables side by side, each with its own stream of random numbers.
 
@@ -150,6 +145,8 @@ class Tables:
 
     def seed(self, seed: int) -> None:
         """Give table i the stream of seed + i, as vector environments do."""
+        if not isinstance(seed, Integral):
+            raise ValueError(f"seed = {seed!r} must be a whole number")
         seeds = np.arange(self.n, dtype=np.uint64) + np.uint64(seed % 2**63)
         self.rng[:] = (seeds + np.uint64(1)) * np.uint64(0xD1342543DE82EF95)  # far apart in splitmix64's period
 
@@ -157,7 +154,7 @@ class Tables:
         """Begin a round at the tables of the boolean mask `which` (n,); at all of them without it."""
         which = np.ones(self.n, dtype=bool) if which is None else which
         if not isinstance(which, np.ndarray) or which.shape != (self.n,) or which.dtype != bool:
-            raise ValueError(f"which: {_seen(which)}, must be bools of shape {(self.n,)}")
+            raise ValueError(f"which: {kind_of(which)}, must be bools of shape {(self.n,)}")
         _new_rounds(self.bodies, self.watch, self.rng, which, self._values)
 
     def step(self, actions: np.ndarray, ticks: int = 1, rows: np.ndarray | None = None) -> None:
@@ -170,15 +167,13 @@ class Tables:
             ValueError: a shape, a type or a number is another one: compiled code would write where nothing is.
         """
         if not isinstance(actions, np.ndarray) or actions.shape != (self.n, 2, 2) or actions.dtype.kind != "f":
-            raise ValueError(f"actions: {_seen(actions)}, must be floats of shape {(self.n, 2, 2)}")
+            raise ValueError(f"actions: {kind_of(actions)}, must be an array of floats of shape {(self.n, 2, 2)}")
         if rows is None:
             rows = self._all
-        elif not isinstance(rows, np.ndarray) or rows.ndim != 1 or rows.dtype != np.int64:
-            raise ValueError(f"rows: {_seen(rows)}, must be int64 of shape (k,)")
-        elif rows.size and not (rows.min() >= 0 and rows.max() < self.n):
-            raise ValueError(f"rows: from {rows.min()} to {rows.max()}, must be from 0 to {self.n - 1}")
-        if ticks < 0:
-            raise ValueError(f"ticks = {ticks} must be at least 0")
+        else:
+            check_rows("rows", rows, self.n)
+        if not isinstance(ticks, int | np.integer) or ticks < 0:
+            raise ValueError(f"ticks = {ticks!r} must be a whole number of at least 0")
         arguments = (
             self.bodies,
             self.watch,
@@ -197,6 +192,6 @@ class Tables:
         if seat not in (LEFT, RIGHT):
             raise ValueError(f"seat = {seat!r} must be {LEFT} or {RIGHT}")
         if not isinstance(out, np.ndarray) or out.shape != (self.n, 12) or out.dtype.kind != "f":
-            raise ValueError(f"out: {_seen(out)}, must be floats of shape {(self.n, 12)}")
+            raise ValueError(f"out: {kind_of(out)}, must be an array of floats of shape {(self.n, 12)}")
         observe(self.bodies, seat, out)
         return out

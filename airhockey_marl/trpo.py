@@ -14,9 +14,14 @@ from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
+from airhockey_marl.checks import check_counts, check_numbers, check_tensors, check_view, labelled
+
 
 def conjugate_gradient(matvec: Callable[[Tensor], Tensor], b: Tensor, steps: int, tolerance: float = 1e-10) -> Tensor:
     """Solve `matvec(x) = b` for a symmetric positive definite operator, from zeros, in at most `steps` steps."""
+    check_tensors(b=(b, "n"))
+    check_counts(steps=steps)
+    check_numbers(0.0, tolerance=tolerance)
     x = torch.zeros_like(b)
     residual, direction = b.clone(), b.clone()
     norm2 = residual.dot(residual)
@@ -34,11 +39,13 @@ def conjugate_gradient(matvec: Callable[[Tensor], Tensor], b: Tensor, steps: int
 
 def log_prob(mean: Tensor, std: Tensor, action: Tensor) -> Tensor:
     """Log-density of actions (..., 2) under the Gaussians (..., 2), without the constant: (...)."""
+    check_tensors(mean=(mean, "... 2"), std=(std, "... 2"), action=(action, "... 2"))
     return (-0.5 * ((action - mean) / std) ** 2 - std.log()).sum(-1)
 
 
 def kl_divergence(mean: Tensor, std: Tensor, new_mean: Tensor, new_std: Tensor) -> Tensor:
     """KL(old || new) of diagonal Gaussians, averaged over the states: a scalar."""
+    check_tensors(mean=(mean, "... 2"), std=(std, "... 2"), new_mean=(new_mean, "... 2"), new_std=(new_std, "... 2"))
     return (new_std.log() - std.log() + (std**2 + (mean - new_mean) ** 2) / (2 * new_std**2) - 0.5).sum(-1).mean()
 
 
@@ -51,7 +58,10 @@ class FisherVectorProduct:
     """
 
     def __init__(self, policy: nn.Module, observation: Tensor, damping: float) -> None:
+        check_tensors(observation=(observation, "n k"))
+        check_numbers(0.0, damping=damping)
         self.parameters = list(policy.parameters())
+        self.size = sum(parameter.numel() for parameter in self.parameters)
         self.damping = damping
         self.outputs = policy(observation)
         mean, std = (output.detach() for output in self.outputs)
@@ -62,6 +72,7 @@ class FisherVectorProduct:
         )
 
     def __call__(self, vector: Tensor) -> Tensor:
+        check_tensors(self.parameters[0].device, vector=(vector, str(self.size)))
         split, start = [], 0
         for parameter in self.parameters:
             split.append(vector[start : start + parameter.numel()].view_as(parameter))
@@ -80,6 +91,8 @@ def advantages(critic: nn.Module, view: TensorDictBase, gamma: float, gae_lambda
         view: (tables, steps) as for `learner.Learner`. Where a round goes on, the next step's value is the value of
             the next observation; only the others are asked for apart, which halves the work.
     """
+    check_view(view)
+    check_numbers(0.0, at_most=1.0, gamma=gamma, gae_lambda=gae_lambda)
     following, value = view["next"], critic(view["observation"])
     apart = following["done"].squeeze(-1).clone()
     apart[:, -1] = True
@@ -117,17 +130,13 @@ class TRPO:
     critic_lr: float
 
     def __post_init__(self) -> None:
-        for name in ("max_kl", "cg_steps", "backtracks", "critic_passes", "critic_minibatch", "critic_lr"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"algorithm.{name} = {getattr(self, name)} must be above 0")
-        for name in ("fisher_share", "gae_lambda"):
-            if not 0 < getattr(self, name) <= 1:
-                raise ValueError(f"algorithm.{name} = {getattr(self, name)} must be above 0 and at most 1")
-        if not (self.damping >= 0 and 0 < self.shrink < 1):
-            raise ValueError(
-                f"algorithm.damping = {self.damping} must be at least 0, "
-                f"algorithm.shrink = {self.shrink} between 0 and 1"
-            )
+        counts = ("cg_steps", "backtracks", "critic_passes", "critic_minibatch")
+        check_counts(**labelled(self, "algorithm", *counts))
+        check_numbers(above=0.0, **labelled(self, "algorithm", "max_kl", "shrink", "critic_lr"))
+        check_numbers(above=0.0, at_most=1.0, **labelled(self, "algorithm", "fisher_share", "gae_lambda"))
+        check_numbers(0.0, **labelled(self, "algorithm", "damping"))
+        if not self.shrink < 1:
+            raise ValueError(f"algorithm.shrink = {self.shrink} must be between 0 and 1")
 
     def learner(self, policy: nn.Module, gamma: float) -> "TrustRegion":
         """Begin to train `policy`, observations to (mean, STD); `gamma` is per decision."""
@@ -138,6 +147,7 @@ class TrustRegion:
     """TRPO at work on one policy: advantages, the policy's step, the critic's regression."""
 
     def __init__(self, settings: TRPO, policy: nn.Module, gamma: float) -> None:
+        check_numbers(0.0, at_most=1.0, gamma=gamma)
         self.settings, self.policy, self.gamma = settings, policy, gamma
         self.critic = settings.critic().to(next(policy.parameters()).device)
         self.optimizer = torch.optim.Adam(self.critic.parameters(), lr=settings.critic_lr, fused=True)
@@ -152,6 +162,7 @@ class TrustRegion:
         Returns:
             What to log: kl, surrogate gain, accepted step (0 if none was), mean STD, critic loss.
         """
+        check_view(view, "action")
         advantage, target = advantages(self.critic, view, self.gamma, self.settings.gae_lambda)
         observation, action = view["observation"].flatten(0, 1), view["action"].flatten(0, 1)
         metrics = self.improve_policy(observation, action, advantage.flatten())
@@ -160,6 +171,7 @@ class TrustRegion:
 
     def improve_policy(self, observation: Tensor, action: Tensor, advantage: Tensor) -> dict[str, float]:
         """One natural gradient step within the trust region: observations (n, 12), actions (n, 2), advantages (n,)."""
+        check_tensors(observation=(observation, "n k"), action=(action, "n 2"), advantage=(advantage, "n"))
         settings, policy = self.settings, self.policy
         parameters = list(policy.parameters())
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
@@ -195,6 +207,7 @@ class TrustRegion:
 
     def fit_critic(self, observation: Tensor, target: Tensor) -> float:
         """Some passes of regression on observations (n, 12) and targets (n, 1); returns the mean loss."""
+        check_tensors(observation=(observation, "n k"), target=(target, "n 1"))
         losses = []
         for _ in range(self.settings.critic_passes):
             for index in torch.randperm(len(observation)).split(self.settings.critic_minibatch):

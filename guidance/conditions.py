@@ -62,10 +62,14 @@ class Spring:
         for name in ("stiffness", "limit", "reach"):
             value = getattr(self, name)
             if not 0 <= value < float("inf") or (name == "reach" and value == 0):
-                raise ValueError(f"guidance.spring.{name} = {value} must be a number of at least 0")
+                allowed = "above 0" if name == "reach" else "of at least 0"
+                raise ValueError(f"guidance.spring.{name} = {value} must be a finite number {allowed}")
 
     def force(self, action: Tensor, target: Tensor) -> Tensor:
         """Force (..., 2) in N from the action toward the target (..., 2)."""
+        for name, value in (("action", action), ("target", target)):
+            if not isinstance(value, Tensor):
+                raise ValueError(f"{name}: {type(value).__name__}, must be a tensor")
         return spring_force(self.reach * action, self.reach * target, self.stiffness, self.limit)
 
 

@@ -12,6 +12,7 @@ import pyarrow.parquet as pq
 import torch
 from tensordict import TensorDict
 
+from airhockey_marl.checks import check_arrays
 from airhockey_marl.files import replacing, sha256
 from airhockey_marl.table import Table
 from guidance.rounds import hand_speed, round_begins
@@ -44,6 +45,7 @@ COLUMNS = {  # name: (type, unit, meaning)
 
 def people_table(people: np.ndarray, archetypes: list[str]) -> pd.DataFrame:
     """A row per person of `people` (users,): every parameter in SI units, of an array each element (worth_0_1)."""
+    check_arrays("V", people=(people, "n"))
     columns = {"user": np.arange(len(people))}
     for name in people.dtype.names:
         for place in np.ndindex(people[name].shape[1:]):

@@ -5,6 +5,7 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
+from airhockey_marl.checks import check_arrays, check_counts
 from airhockey_marl.match import Player
 from airhockey_marl.table import Table
 from guidance.games import Rink, streams
@@ -33,9 +34,8 @@ def collect(
     Raises:
         ValueError: `games` or `ticks` is below 1.
     """
-    for name, value in (("games", games), ("ticks", ticks)):
-        if value < 1:
-            raise ValueError(f"{name} = {value} must be at least 1")
+    check_counts(games=games, ticks=ticks)
+    check_arrays("V", people=(people, "users"))
     users = len(people)
     n = users * games
 

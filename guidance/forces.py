@@ -133,6 +133,8 @@ def _polar(vector: Tensor) -> tuple[Tensor, Tensor]:
 
 
 def _require_floating(name: str, tensor: Tensor) -> None:
+    if not isinstance(tensor, Tensor):
+        raise ValueError(f"{name}: {type(tensor).__name__}, must be a tensor")
     if not tensor.is_floating_point():
         raise ValueError(f"{name}: dtype {tensor.dtype}, must be floating point")
 

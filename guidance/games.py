@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from airhockey_marl.checks import check_arrays, check_counts, check_numbers, check_rows, kind_of, labelled
 from airhockey_marl.match import Player
 from airhockey_marl.table import LEFT, PUCK, RIGHT, Table
 from airhockey_marl.tables import Tables
@@ -73,6 +74,7 @@ class Rink:
     """
 
     def __init__(self, participants: Participants, opponent: Player, table: Table, serves: np.ndarray) -> None:
+        check_arrays("u", serves=(serves, "n"))
         n = len(serves)
         self.participants, self.opponent, self.tables = participants, opponent, Tables(n, table)
         self.tables.rng[:] = serves
@@ -92,7 +94,10 @@ class Rink:
 
     def tick(self, forces: Forces = no_force, games: np.ndarray | None = None) -> Tick:
         """Play one tick at the tables `games` (k,), at all of them if None."""
-        games = self._all if games is None else games
+        if games is None:
+            games = self._all
+        else:
+            check_rows("games", games, len(self._all))
         tables, actions = self.tables, self._actions
         tables.observe(LEFT, self._seen)
         self.puck_before = tables.bodies[:, PUCK].copy()
@@ -126,10 +131,9 @@ class Protocol:
 
     def __post_init__(self) -> None:
         for name, least in (("familiarisation", 0), ("rounds", 1), ("extra_rounds", 0), ("min_seconds", 0)):
-            if not getattr(self, name) >= least:
-                raise ValueError(f"study.{name} = {getattr(self, name)} must be at least {least}")
-        if not self.round_seconds > 0:
-            raise ValueError(f"study.round_seconds = {self.round_seconds} must be above 0")
+            check = check_counts if name.endswith("rounds") else check_numbers
+            check(least, **labelled(self, "study", name))
+        check_numbers(above=0.0, **labelled(self, "study", "round_seconds"))
 
 
 class Schedule:
@@ -142,6 +146,8 @@ class Schedule:
     """
 
     def __init__(self, n: int, protocol: Protocol, tick_seconds: float) -> None:
+        check_counts(n=n)
+        check_numbers(above=0.0, tick_seconds=tick_seconds)
         self.protocol, self.tick_seconds = protocol, tick_seconds
         self.unscored_ticks = round(protocol.familiarisation / tick_seconds)
         self.playing, self.scored, self._elapsed = np.arange(n), False, 0
@@ -157,6 +163,8 @@ class Schedule:
 
     def tick(self, goals: np.ndarray) -> np.ndarray:
         """A tick has been played, with these goals (n,): the mask (n,) of the rounds that have ended with it."""
+        if np.shape(goals) != self.rounds.shape or goals.dtype.kind != "i":
+            raise ValueError(f"goals: {kind_of(goals)}, must be whole numbers of shape {self.rounds.shape}")
         games, protocol, seconds = self.playing, self.protocol, self.tick_seconds
         self._elapsed += 1
         self._round_ticks[games] += 1
@@ -224,6 +232,9 @@ class Games:
 
 def streams(seed: int, users: Sequence[int], condition: int, purpose: int) -> np.ndarray:
     """(users,) uint64: a stream for each user's game in a condition; purpose 0 is the person, 1 the table."""
+    check_counts(0, seed=seed, condition=condition, purpose=purpose)
+    for user in users:
+        check_counts(0, users=user)
     keys = [np.random.SeedSequence([seed, user, condition, purpose]) for user in users]
     return np.array([key.generate_state(1, np.uint64)[0] for key in keys], dtype=np.uint64)
 

@@ -7,6 +7,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from airhockey_marl.checks import check_counts, check_rows, kind_of
 from airhockey_marl.inference import rows_of
 from guidance.conditions import ADAPTED, OPTIMAL, USER, Combined, Condition, Guidance, Guided, Target, Toward
 from guidance.models import Models
@@ -41,6 +42,7 @@ class Guide:
     ) -> None:
         if not 0 <= lookahead_seconds < float("inf"):
             raise ValueError(f"guidance.lookahead = {lookahead_seconds} must be at least 0 seconds")
+        check_counts(users=users)
         self.conditions, self.users, self.models = list(conditions), users, models
         self.lookahead_seconds = lookahead_seconds
         asked = frozenset().union(*(condition.guidance.models() for condition in conditions))
@@ -63,8 +65,15 @@ class Guide:
         Returns:
             `Guided` of float64 tensors: force (k, 2); weights (k,), not a number where a game has none.
         """
+        for name, value, columns in (("state", state, 12), ("action", action, 2)):
+            if np.shape(value) != (len(self._everything), columns) or value.dtype.kind != "f":
+                shape = (len(self._everything), columns)
+                raise ValueError(f"{name}: {kind_of(value)}, must be an array of floats of shape {shape}")
         games = self._everything if games is None else games
         if games is not self._plan.games and not np.array_equal(games, self._plan.games):
+            check_rows("games", games, len(self._everything))
+            if (np.diff(games) <= 0).any():
+                raise ValueError(f"games: {games.tolist()}, must be ascending")
             self._plan = Plan(self.conditions, self.users, games)
         plan = self._plan
         hand = torch.from_numpy(action[games]).float()

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
+from airhockey_marl.checks import check_counts, check_numbers, check_rows
 from guidance.conditions import Condition, Guided
 
 BINS = 50
@@ -20,12 +21,17 @@ class Histograms:
     """
 
     def __init__(self, conditions: Sequence[Condition], users: int, largest_force: float) -> None:
+        check_counts(users=users)
+        check_numbers(0.0, largest_force=largest_force)
         self.conditions, self.users, self.largest_force = list(conditions), users, largest_force
         self.counts: dict[str, np.ndarray] = {}  # by name of the signal: (conditions, BINS)
         self.sums: dict[str, np.ndarray] = {}  # (conditions, 2): of the values, and of their squares
 
     def add(self, guided: Guided, games: np.ndarray) -> None:
         """Count what the games (k,) were answered in a tick."""
+        check_rows("games", games, len(self.conditions) * self.users)
+        if len(guided.force) != len(games):
+            raise ValueError(f"guided: of {len(guided.force)} games, must be of {len(games)} as games")
         which = games // self.users
         self._count("force", np.linalg.norm(guided.force.numpy(), axis=-1), which, self.largest_force)
         for name in WEIGHTS:

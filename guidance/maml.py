@@ -80,6 +80,8 @@ def forward_each(model: nn.Module, params: TensorDict, *inputs: Tensor) -> Any:
         ValueError: ``params`` and ``inputs`` do not have the same number of users.
     """
     for tensor in inputs:
+        if not isinstance(tensor, Tensor):
+            raise ValueError(f"inputs: {type(tensor).__name__}, must be tensors")
         if params.ndim != 1 or tensor.shape[:1] != params.shape:
             raise ValueError(
                 f"inputs: shape {tuple(tensor.shape)}, must begin with the batch size of params, "
@@ -108,8 +110,8 @@ def adapt(params: TensorDict, loss: Loss, lr: float, steps: int = 1, first_order
         ValueError: ``lr`` or ``steps`` out of range, or a leaf of ``params`` is not floating point.
     """
     _require_rate(lr)
-    if steps < 1:
-        raise ValueError(f"steps: {steps}, must be at least 1")
+    if not isinstance(steps, int) or steps < 1:
+        raise ValueError(f"steps: {steps}, must be a whole number of at least 1")
     for name, leaf in params.items(include_nested=True, leaves_only=True):
         if not leaf.is_floating_point():
             raise ValueError(f"params: {name} has dtype {leaf.dtype}, must be floating point")
@@ -204,10 +206,13 @@ class MAML:
         Raises:
             ValueError: ``loss`` is not a scalar with a gradient.
         """
-        if loss.ndim or not loss.requires_grad:
-            raise ValueError(f"loss: {loss}, must be a scalar that requires grad")
+        if not isinstance(loss, Tensor) or loss.ndim or not loss.requires_grad:
+            seen = f"shape {tuple(loss.shape)}" if isinstance(loss, Tensor) else type(loss).__name__
+            raise ValueError(f"loss: {seen}, must be a scalar that requires grad")
         names = list(self.params.keys(include_nested=True, leaves_only=True))
         leaves = [self.params[name] for name in names]
+        if loss.device != leaves[0].device:
+            raise ValueError(f"loss: on {loss.device}, must be on {leaves[0].device} as the model")
         gradients = torch.autograd.grad(loss, leaves, create_graph=not self.first_order, materialize_grads=True)
         gradient = TensorDict(dict(zip(names, gradients, strict=True)))
         self.params = _descend(self.params, gradient, self.lr, self.first_order)

@@ -15,6 +15,8 @@ from math import hypot
 import numpy as np
 from numba import njit
 
+from airhockey_marl.checks import check_arrays, check_counts, check_rows, kind_of
+
 GAME_SHEET = np.dtype(
     [
         ("won", np.int64),
@@ -33,6 +35,7 @@ GAME_SHEET = np.dtype(
 
 def new_sheets(n: int) -> np.ndarray:
     """Blank sheets for n games: (n,) of `GAME_SHEET`."""
+    check_counts(n=n)
     return np.zeros(n, dtype=GAME_SHEET)
 
 
@@ -41,6 +44,7 @@ def disagreement(force: np.ndarray, action_change: np.ndarray) -> np.ndarray:
 
     The force's component against the motion; 0 where the hand does not move or moves with the force.
     """
+    check_arrays(force=(force, "... 2"), action_change=(action_change, "... 2"))
     distance = np.hypot(action_change[..., 0], action_change[..., 1])
     along = (force * action_change).sum(-1)
     return np.where(along < 0, -along / np.where(distance > 0, distance, 1.0), 0.0)
@@ -119,6 +123,8 @@ def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
 
 def results(sheets: np.ndarray) -> dict[str, np.ndarray]:
     """The four metrics of each game, (n,) each; not a number where a game gave nothing to measure."""
+    if sheets.dtype != GAME_SHEET or sheets.ndim != 1:
+        raise ValueError(f"sheets: {kind_of(sheets)}, must be GAME_SHEET of shape (n,)")
     return {
         "win_rate": _ratio(sheets["won"], sheets["won"] + sheets["lost"]),
         "mean_smash_speed": _ratio(sheets["smash_speed"], sheets["smashes"]),
@@ -142,10 +148,14 @@ class Moments:
     """Running mean and standard deviation of a weight within each game (Welford), in memory flat in its length."""
 
     def __init__(self, n: int) -> None:
+        check_counts(n=n)
         self.count, self.mean, self._squares = np.zeros(n), np.zeros(n), np.zeros(n)
 
     def add(self, games: np.ndarray, values: np.ndarray) -> None:
         """Add values (k,) of some games (k,), leaving out what is not a number."""
+        check_rows("games", games, len(self.count))
+        if np.shape(values) != games.shape or values.dtype.kind != "f":
+            raise ValueError(f"values: {kind_of(values)}, must be floats of shape {games.shape}")
         _add(games, values, self.count, self.mean, self._squares)
 
     def result(self) -> tuple[np.ndarray, np.ndarray]:

@@ -14,6 +14,7 @@ from scipy import stats
 from tensordict import TensorDict
 from torch import Tensor, nn
 
+from airhockey_marl.checks import CPU, check_arrays, check_counts, check_numbers, check_tensors
 from airhockey_marl.table import Table, reach
 from guidance.forces import lookahead
 from guidance.maml import forward, parameters
@@ -27,17 +28,20 @@ SIGMAS = {1: 1 - math.exp(-0.5), 2: 1 - math.exp(-2.0)}  # share of a two-dimens
 
 def paddle(observation: Tensor, table: Table) -> tuple[Tensor, Tensor]:
     """Place (..., 2) of the own paddle in units of action, and its velocity (..., 2) per second."""
+    check_tensors(CPU, observation=(observation, "... 12"))
     middle, half = (torch.tensor(part, dtype=observation.dtype) for part in reach(table))
     return (observation[..., 0:2] - middle) / half, observation[..., 2:4] / half
 
 
 def persistence(observation: Tensor, action: Tensor, table: Table) -> Predictor:
     """Whoever says that the hand stays where the paddle is; its STD is what that is worth on this play."""
+    check_tensors(CPU, observation=(observation, "ticks 12"), action=(action, "ticks 2"))
     return _baseline(lambda seen, seconds: paddle(seen, table)[0], observation, action, table)
 
 
 def extrapolation(observation: Tensor, action: Tensor, table: Table) -> Predictor:
     """Whoever moves the paddle on with its velocity; its lead on the paddle is fitted to this play (ticks, .)."""
+    check_tensors(CPU, observation=(observation, "ticks 12"), action=(action, "ticks 2"))
     place, velocity = paddle(observation, table)
     lead = ((velocity * (action - place)).sum() / velocity.square().sum().clamp(min=1e-9)).item()  # s
 
@@ -50,6 +54,8 @@ def extrapolation(observation: Tensor, action: Tensor, table: Table) -> Predicto
 
 def ahead(observation: Tensor, seconds: float, table: Table) -> tuple[Tensor, Tensor]:
     """Ticks (k,) of one person's play (ticks, 12), and the ticks (k,) `seconds` after them, in the same round."""
+    check_tensors(CPU, observation=(observation, "ticks 12"))
+    check_numbers(0.0, at_most=len(observation) * table.tick, seconds=seconds)
     then = round(seconds / table.tick)
     number = round_begins(observation, table).cumsum(0)
     now = torch.arange(len(observation) - then)
@@ -74,6 +80,7 @@ def _baseline(guess: Callable[[Tensor, float], Tensor], seen: Tensor, action: Te
 
 def by_model(model: Callable[[Tensor], tuple[Tensor, Tensor]], ahead: float = 0.0) -> Predictor:
     """A model of the action `ahead` s after a state, asked about a looked-ahead state as a guidance asks it (Eq. 4)."""
+    check_numbers(0.0, ahead=ahead)
     return lambda observation, seconds: model(lookahead(observation, max(seconds - ahead, 0.0)))
 
 
@@ -89,6 +96,8 @@ def predictors(
 
     The models are asked for the action `ahead` s after a state.
     """
+    check_tensors(CPU, seen=(seen, "ticks 12"), action=(action, "ticks 2"))
+    check_numbers(0.0, ahead=ahead)
     then = action_ahead(seen, action, ahead, table)
     adapted = adapt_to_user(meta, parameters(meta), seen[None], then[None], lr)[0]
     return {
@@ -107,6 +116,7 @@ def judge(predictor: Predictor, observation: Tensor, action: Tensor, seconds: fl
         rmse; nll, nats of a two-dimensional Gaussian; loss, Eq. 3; within_1 and within_2, shares of the actions within
         so many STDs.
     """
+    check_tensors(CPU, observation=(observation, "ticks 12"), action=(action, "ticks 2"))
     now, then = ahead(observation, seconds, table)
     mean, std = predictor(observation[now], seconds)
     error = action[then] - mean
@@ -126,6 +136,8 @@ def reliability(predictor: Predictor, observation: Tensor, action: Tensor, bins:
 
     Bins hold as many ticks each, from the surest to the least sure.
     """
+    check_tensors(CPU, observation=(observation, "ticks 12"), action=(action, "ticks 2"))
+    check_counts(bins=bins)
     mean, std = predictor(observation, 0.0)
     said, seen = std.square().sum(-1), (action - mean).square().sum(-1)
     order = said.argsort()
@@ -135,7 +147,9 @@ def reliability(predictor: Predictor, observation: Tensor, action: Tensor, bins:
 
 def interval(values: np.ndarray, confidence: float = 0.95) -> tuple[float, float, float]:
     """Mean over people, and Student's interval of it."""
-    values = np.asarray(values, dtype=np.float64)
+    values = np.asarray(values)
+    check_arrays(values=(values, "n"))
+    check_numbers(above=0.0, at_most=1.0, confidence=confidence)
     mean, n = float(values.mean()), len(values)
     half = stats.t.ppf(0.5 + confidence / 2, n - 1) * values.std(ddof=1) / math.sqrt(n) if n > 1 else math.nan
     return mean, mean - half, mean + half

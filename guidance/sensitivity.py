@@ -7,6 +7,7 @@ from math import log
 import pandas as pd
 from scipy.stats import qmc
 
+from airhockey_marl.checks import check_counts, check_numbers
 from guidance.users import Population
 from guidance.users.laws import LogNormal, ScaledBeta, Share
 
@@ -22,10 +23,9 @@ def latin_hypercube(parameters: Sequence[str], points: int, largest: float, seed
     Raises:
         ValueError: `points` is below 1, `largest` not above 1, or a parameter occurs twice.
     """
-    if points < 1:
-        raise ValueError(f"sensitivity.points = {points} must be at least 1")
-    if not 1 < largest < float("inf"):
-        raise ValueError(f"sensitivity.largest = {largest} must be above 1")
+    check_counts(**{"sensitivity.points": points})
+    check_numbers(above=1.0, **{"sensitivity.largest": largest})
+    check_counts(0, seed=seed)
     if repeated := {name for name in parameters if list(parameters).count(name) > 1}:
         raise ValueError(f"sensitivity.parameters: {', '.join(sorted(repeated))} more than once")
     unit = qmc.LatinHypercube(len(parameters), rng=seed).random(points)
@@ -43,6 +43,7 @@ def changed(population: Population, factors: Mapping[str, float]) -> Population:
     """
     kinds, changes, worth = {item.name: item.type for item in fields(Population)}, {}, dict(population.worth)
     for name, factor in factors.items():
+        check_numbers(above=0.0, **{f"factors[{name!r}]": factor})
         if name.removeprefix(WORTH) in worth and name.startswith(WORTH):
             constant, *terms = worth[name.removeprefix(WORTH)]
             worth[name.removeprefix(WORTH)] = [constant + log(factor), *terms]

@@ -336,6 +336,8 @@ def reference_points(n: int = 20) -> tuple[float, float]:
     By chance a two-sided test at .05 / m falls on the paper's side half of the time. For the re-run, every finding has
     the effect size dz that its printed p implies, and the power of a paired t-test with n participants.
     """
+    if not isinstance(n, int) or n < 2:
+        raise ValueError(f"n = {n!r} must be a whole number of at least 2")
     findings = published("findings")
     tail = ALPHA / 2 / findings["bonferroni_m"]
     power = stats.nct.sf(stats.t.isf(tail, n - 1), n - 1, findings["dz_min"] * np.sqrt(n))

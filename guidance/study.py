@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 import torch
 
+from airhockey_marl.checks import check_counts
 from airhockey_marl.match import Player
 from airhockey_marl.table import Table
 from guidance.conditions import Condition, Guided
@@ -44,6 +45,7 @@ def williams(conditions: int) -> np.ndarray:
     Returns:
         (k, conditions) indices; k = conditions if their number is even, twice that if it is odd.
     """
+    check_counts(conditions=conditions)
     first = [0]
     for step in range(1, conditions):
         first.append((first[-1] + (step if step % 2 else -step)) % conditions)
@@ -53,6 +55,7 @@ def williams(conditions: int) -> np.ndarray:
 
 def balanced(users: int, conditions: int) -> bool:
     """Whether so many users can play so many conditions in the orders of a Williams design, each equally often."""
+    check_counts(users=users)
     return users % len(williams(conditions)) == 0
 
 
@@ -61,6 +64,8 @@ def order_of(users: int, conditions: int, seed: int) -> np.ndarray:
 
     Users get the rows of a Williams design in random order; it is balanced where their number is a multiple of its.
     """
+    check_counts(users=users)
+    check_counts(0, seed=seed)
     design, rng = williams(conditions), np.random.default_rng([seed, users])
     rows = np.concatenate([rng.permutation(len(design)) for _ in range(-(-users // len(design)))])[:users]
     return np.argsort(design[rows], axis=1) + 1

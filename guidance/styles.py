@@ -6,6 +6,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from torch import Tensor
 
+from airhockey_marl.checks import CPU, check_arrays, check_tensors
 from airhockey_marl.table import Table
 
 FEATURES = (
@@ -27,6 +28,7 @@ BLOW, FORWARD = 0.6, 0.3  # m/s: a change of the puck's velocity that only a pad
 
 def blows(observation: np.ndarray, table: Table) -> np.ndarray:
     """(k, 2) the puck's velocity in m/s after each blow of the own paddle, in one stretch of play (ticks, 12)."""
+    check_arrays(observation=(observation, "ticks 12"))
     paddle, puck = observation[..., 0:2], observation[..., 8:12]
     reach = table.puck_radius + table.paddle_radius + 0.05
     change = np.linalg.norm(np.diff(puck[:, 2:], axis=0), axis=-1)
@@ -36,6 +38,7 @@ def blows(observation: np.ndarray, table: Table) -> np.ndarray:
 
 def features(observation: Tensor, table: Table) -> np.ndarray:
     """(n, 10) `FEATURES` of n stretches of play (n, ticks, 12)."""
+    check_tensors(CPU, observation=(observation, "n ticks 12"))
     rows = []
     for seen in observation.numpy().astype(np.float64):
         away = seen[:, 8] > 0.0
@@ -61,6 +64,9 @@ def features(observation: Tensor, table: Table) -> np.ndarray:
 
 def told_apart(known: np.ndarray, styles: np.ndarray, unseen: np.ndarray) -> np.ndarray:
     """The styles (m,) that a linear discriminant, taught by `known` (n, features) of `styles`, sees in `unseen`."""
+    check_arrays(known=(known, "n k"), unseen=(unseen, "m k"))
+    if np.shape(styles) != (len(known),):
+        raise ValueError(f"styles: shape {np.shape(styles)}, must be {(len(known),)}")
     return make_pipeline(StandardScaler(), LinearDiscriminantAnalysis()).fit(known, styles).predict(unseen)
 
 
@@ -69,6 +75,7 @@ def recognised(one: np.ndarray, another: np.ndarray) -> float:
 
     Distances are those of linear discriminants: by how much people differ from each other, rather than from themselves.
     """
+    check_arrays(one=(one, "n k"), another=(another, "n k"))
     within = np.cov((one - another).T) / 2 + 1e-9 * np.eye(one.shape[1])
     whiten = np.linalg.cholesky(np.linalg.inv(within))
     a, b = one @ whiten, another @ whiten

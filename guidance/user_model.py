@@ -20,6 +20,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.func import grad_and_value
 
+from airhockey_marl.checks import check_counts, check_numbers, check_tensors
 from guidance.maml import adapt_each, forward, meta_loss, parameters
 
 Samples = tuple[Tensor, Tensor]
@@ -46,11 +47,15 @@ class Demonstrations:
     def __post_init__(self) -> None:
         for name, size in (("observation", 12), ("action", 2)):
             tensor = getattr(self, name)
+            if not isinstance(tensor, Tensor):
+                raise ValueError(f"{name}: {type(tensor).__name__}, must be a tensor")
             shape = tuple(tensor.shape)
             if tensor.ndim != 4 or tensor.shape[-1] != size or not tensor.numel():
                 raise ValueError(f"{name}: shape {shape}, must be (users, games, ticks, {size}) and not empty")
             if not tensor.is_floating_point():
                 raise ValueError(f"{name}: dtype {tensor.dtype}, must be floating point")
+            if tensor.device != (other := getattr(self.action, "device", tensor.device)):
+                raise ValueError(f"{name}: on {tensor.device}, must be on {other} as action")
             if not tensor.isfinite().all():
                 raise ValueError(f"{name}: {int((~tensor.isfinite()).sum())} values are not finite, all must be")
         if self.action.shape[:3] != self.observation.shape[:3] or self.action.dtype != self.observation.dtype:
@@ -69,8 +74,7 @@ class Demonstrations:
         Raises:
             ValueError: ``size`` is less than 1.
         """
-        if size < 1:
-            raise ValueError(f"size: {size}, must be at least 1")
+        check_counts(size=size)
         observation, action = self.observation.flatten(0, 2), self.action.flatten(0, 2)  # (n, 12), (n, 2)
         for index in torch.randperm(len(action), generator=generator).split(size):
             index = index.to(action.device)
@@ -96,7 +100,7 @@ class Demonstrations:
         users, games, ticks = self.action.shape[:3]
         if games < 2:
             raise ValueError(f"games: {games}, must be at least 2 a user, one to adapt to and one to validate on")
-        if not 1 <= block <= ticks:
+        if not isinstance(block, int) or not 1 <= block <= ticks:
             raise ValueError(f"block: {block} ticks, must be within 1 and {ticks}, the ticks of a game")
         per_game = ticks // block
 
@@ -133,7 +137,11 @@ def prediction_loss(mean: Tensor, std: Tensor, action: Tensor) -> Tensor:
     Raises:
         ValueError: the shapes are not all the same (..., 2), or a dtype is not floating point.
     """
-    for name, tensor in (("mean", mean), ("std", std), ("action", action)):
+    for name, tensor in (("action", action), ("mean", mean), ("std", std)):
+        if not isinstance(tensor, Tensor):
+            raise ValueError(f"{name}: {type(tensor).__name__}, must be a tensor")
+        if tensor.device != action.device:
+            raise ValueError(f"{name}: on {tensor.device}, must be on {action.device} as action")
         if tensor.ndim == 0 or tensor.shape[-1] != 2 or tensor.shape != action.shape:
             raise ValueError(f"{name}: shape {tuple(tensor.shape)}, must be (..., 2) and that of action")
         if not tensor.is_floating_point():
@@ -171,7 +179,8 @@ def train_supervised(
         ValueError: ``epochs``, ``batch_size`` or ``lr`` is out of range.
         FloatingPointError: the loss or its gradient is no longer finite.
     """
-    _require_schedule(epochs, lr)
+    _require_schedule(epochs, done, lr)
+    check_counts(batch_size=batch_size)
     optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
     for epoch in range(done + 1, epochs + 1):
         total, ticks = 0.0, 0
@@ -230,7 +239,9 @@ def train_maml(
         ValueError: a number is out of range, or the data have fewer than two games a user.
         FloatingPointError: the loss or its gradient is no longer finite.
     """
-    _require_schedule(epochs, lr)
+    _require_schedule(epochs, done, lr)
+    check_counts(steps=steps)
+    check_numbers(above=0.0, inner_lr=inner_lr)
     if not max_norm > 0:
         raise ValueError(f"max_norm: {max_norm}, must be positive, inf for no clipping")
     optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
@@ -281,10 +292,7 @@ def adapt_to_user(
     Raises:
         ValueError: a shape is wrong, or ``lr`` or ``steps`` is out of range.
     """
-    if observation.ndim != 3 or observation.shape[-1] != 12:
-        raise ValueError(f"observation: shape {tuple(observation.shape)}, must be (users, ticks, 12)")
-    if action.shape != (*observation.shape[:2], 2):
-        raise ValueError(f"action: shape {tuple(action.shape)}, must be {(*observation.shape[:2], 2)}")
+    check_tensors(observation=(observation, "users ticks 12"), action=(action, "users ticks 2"))
     return adapt_each(params, partial(_data_loss, model), (observation, action), lr, steps)
 
 
@@ -302,8 +310,7 @@ def _step(optimizer: torch.optim.Optimizer, loss: Tensor, epoch: int, max_norm: 
     optimizer.step()
 
 
-def _require_schedule(epochs: int, lr: float) -> None:
-    if epochs < 1:
-        raise ValueError(f"epochs: {epochs}, must be at least 1")
-    if not 0 < lr < math.inf:
-        raise ValueError(f"lr: {lr}, must be positive and finite")
+def _require_schedule(epochs: int, done: int, lr: float) -> None:
+    check_counts(epochs=epochs)
+    check_counts(0, done=done)
+    check_numbers(above=0.0, lr=lr)

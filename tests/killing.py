@@ -7,8 +7,10 @@ Every life of the command is a fork, hence begins at once. The first, in <folder
 how many were killed, and how many went on with what another had begun.
 """
 
+import math
 import os
 import random
+import shutil
 import signal
 import sys
 import time
@@ -36,6 +38,16 @@ def life(main, arguments: list[str], log: Path) -> int:
     return pid
 
 
+def status_within(pid: int, seconds: float) -> int | None:
+    """How a life has ended in so many seconds; None if it goes on."""
+    until = time.monotonic() + seconds
+    while (ended := os.waitpid(pid, os.WNOHANG)) == (0, 0):
+        if time.monotonic() > until:
+            return None
+        time.sleep(0.002)
+    return os.waitstatus_to_exitcode(ended[1])
+
+
 def begun(state: Path) -> bool:
     return state.is_file() and (state.parent / ".hydra" / "config.yaml").is_file()
 
@@ -45,7 +57,7 @@ def main(module: str, kills: int, seed: int, folder: Path, state: str, arguments
     folder.mkdir(parents=True)
     started = time.monotonic()
     pid, first = life(command, [*arguments, f"hydra.run.dir={folder}/whole"], log), None
-    while os.waitpid(pid, os.WNOHANG) == (0, 0):
+    while status_within(pid, 0.0) is None:
         time.sleep(0.002)
         if first is None and begun(folder / "whole" / state):
             first = time.monotonic() - started
@@ -55,14 +67,18 @@ def main(module: str, kills: int, seed: int, folder: Path, state: str, arguments
         going_on = begun(folder / "killed" / state)
         again = [f"resume={folder}/killed", f"hydra.run.dir={folder}/again"]
         pid = life(command, again if going_on else [*arguments, f"hydra.run.dir={folder}/killed"], log)
-        if killed < kills:  # about where the first state is written, and after it
-            time.sleep(rng.uniform(0.5 * first, 1.7 * first + rest / kills))
+        # about where the first state is written, and after it
+        patience = rng.uniform(0.5 * first, 1.7 * first + rest / kills) if killed < kills else math.inf
+        status = status_within(pid, patience)
+        if status is None:
             os.kill(pid, signal.SIGKILL)
-        status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
+            status = os.waitstatus_to_exitcode(os.waitpid(pid, 0)[1])
         resumed += going_on
         if status == 0 and killed == kills:
             break
-        if status == 0:  # it was done before it could be killed: the next life goes on with a run that is whole
+        if status == 0:  # done before it could be killed, as where the first life had to compile: anew, and sooner
+            shutil.rmtree(folder / "killed")
+            first, rest = 0.7 * first, 0.7 * rest
             continue
         if status != -signal.SIGKILL:
             sys.exit(f"a life ended with {status}: {log.read_text()[-2000:]}")

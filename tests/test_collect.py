@@ -1,6 +1,7 @@
 """The data set: the play it holds, how it is opened, and that it is whole or absent."""
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -232,12 +233,16 @@ def test_wrong_values_end_in_one_line_before_any_play(monkeypatch, capsys, tmp_p
     assert not list(tmp_path.glob("run/*.*[tv]"))
 
 
-def test_data_are_never_replaced(folder, capsys):
-    before = (folder / "card.json").read_bytes()
-    with pytest.raises(SystemExit) as stopped:
-        run(folder, "seed=9")
-    assert stopped.value.code == 2 and "must be a folder without demonstrations/" in capsys.readouterr().err
-    assert (folder / "card.json").read_bytes() == before and dataset.load(folder) is not None
+def test_data_are_never_replaced(folder, tmp_path, capsys):
+    """Neither where they were made, nor where somebody has copied nothing but them."""
+    copied = tmp_path / "copied"
+    shutil.copytree(folder, copied, ignore=shutil.ignore_patterns(".hydra", "run.json"))
+    for place, said in ((folder, "holds a run that has left card.json"), (copied, "without demonstrations/")):
+        before = (place / "card.json").read_bytes()
+        with pytest.raises(SystemExit) as stopped:
+            run(place, "seed=9")
+        assert stopped.value.code == 2 and said in capsys.readouterr().err
+        assert (place / "card.json").read_bytes() == before and dataset.load(place) is not None
 
 
 def test_help_is_the_manual(monkeypatch, capsys):

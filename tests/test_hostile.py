@@ -5,6 +5,8 @@ import os
 import pickle
 import struct
 import sys
+import time
+import tracemalloc
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ from airhockey_marl import train
 from airhockey_marl.checkpoint import Checkpoint
 from airhockey_marl.cli import CONF, config_of
 from airhockey_marl.files import load_tensors, save_tensors
+from airhockey_marl.kept_config import read_config
 from airhockey_marl.league import League
 from airhockey_marl.policy import GaussianPolicy
 from guidance.models import Models, load_user_model
@@ -177,7 +180,7 @@ def test_a_state_of_another_kind_is_refused(tmp_path, facts, message):
     ("content", "message"),
     [
         ("a: [", "is no yaml"),
-        ("- 1\n", "is not the configuration of a run"),
+        ("- 1\n", "must be a table of keys and values"),
         ("seed: 1\n", "is not the configuration of a run"),
         ("x: !!python/object/apply:os.system ['touch executed']\nresume: null\n", "is no yaml"),
     ],
@@ -190,6 +193,62 @@ def test_a_run_folder_from_elsewhere_executes_nothing(tmp_path, monkeypatch, con
     with pytest.raises(ValueError, match=message):
         config_of(tmp_path, "state")
     assert not (tmp_path / "executed").exists()
+
+
+def each_nine_times(first: str, level: str, last: str, between: str = "") -> str:
+    """A yaml of twelve levels, each of which says the one before it nine times; `last` is how it is called there."""
+    said = [level.format(i, between.join([last.format(i - 1)] * 9)) for i in range(1, 12)]
+    return "\n".join(["resume: null", first, *said, ""])
+
+
+LAUGHS = each_nine_times("a0: &a0 ha", "a{0}: &a{0} [{1}]", "*a{}", ", ")
+TEXTS = each_nine_times("a0: ha", "a{0}: '{1}'", "${{a{}}}")
+LISTS = each_nine_times("a0: [ha]", "a{0}: [{1}]", "'${{a{}}}'", ", ")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (LAUGHS, "line 2 has an alias or an anchor"),
+        ("resume: null\nx: &x {y: 1}\nz: {<<: *x}\n", "line 2 has an alias or an anchor"),
+        (TEXTS, "line 4: more than 16 references"),
+        (LISTS, "line 4: more than 16 references"),
+        ("resume: null\nx: '" + "." * 2000 + "${resume}'\n", "more than 1000 characters"),
+        ("resume: null\nx: " + "[" * 40_000 + "]" * 40_000, "line 2 is 31 levels deep"),
+        ("resume: null\nx: " + "x" * 100_000, "is of more than 100000 bytes"),
+        ("resume: null\nx: " + "9" * 50_000, "is no yaml"),
+        ("resume: null\n\xff", "is no yaml"),
+    ],
+    ids=["aliases", "a merge", "texts", "lists", "a long text", "depth", "size", "a number", "no UTF-8"],
+)
+def test_a_configuration_of_a_run_folder_cannot_swell(tmp_path, content, message):
+    """The first is a billion laughs; each would take minutes and gigabytes, or the stack, to be read as it stands."""
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "config.yaml").write_bytes(content.encode("latin-1"))
+    (tmp_path / "state").touch()
+    tracemalloc.start()
+    began = time.monotonic()
+    with pytest.raises(ValueError, match=message) as refused:
+        config_of(tmp_path, "state")
+    seconds, most = time.monotonic() - began, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert seconds < 20 and most < 100e6 and "\n" not in str(refused.value)
+
+
+def test_what_hydra_writes_of_every_command_can_be_read_again(tmp_path):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        for name in sorted(path.stem for path in CONF.glob("*.yaml")):
+            OmegaConf.save(compose(name), tmp_path / "config.yaml")
+            assert read_config(tmp_path / "config.yaml") == OmegaConf.load(tmp_path / "config.yaml")
+
+
+def test_no_configuration_that_is_taken_grows_much(tmp_path):
+    """The worst that is let through: as many references to references as are allowed."""
+    file = tmp_path / "config.yaml"
+    file.write_text(f"a0: {'x' * 60_000}\n" + "".join(f"a{i + 1}: '{f'${{a{i}}}' * 3}'\n" for i in range(5)))
+    began = time.monotonic()
+    longest = max(len(str(value)) for value in OmegaConf.to_container(read_config(file), resolve=True).values())
+    assert longest == 3**5 * 60_000 and time.monotonic() - began < 10
 
 
 @pytest.mark.parametrize("state", ["pickle", "torch", "cut"])

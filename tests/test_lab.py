@@ -126,12 +126,44 @@ def test_a_session_that_is_killed_goes_on_and_ends_like_one_that_was_not(two, tm
         process.wait()
         kills += 1
     assert kills >= 2
+    ends_alike(command, tmp_path, two)
+
+
+def ends_alike(command: list[str], folder: Path, two: Path) -> None:
+    """Go on with the session of S1 in this folder, to its end: its games are those of S1 in `two`."""
     done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0 and "9 of 9" in done.stdout, done.stderr
-    again, whole = (pd.read_csv(folder / "records" / "trials.csv") for folder in (tmp_path, two))
+    again, whole = (pd.read_csv(place / "records" / "trials.csv") for place in (folder, two))
     pd.testing.assert_frame_equal(again, whole[whole["user"] == "S1"].reset_index(drop=True))
-    for file in beh.glob("*run-[0-9]_beh.tsv"):
+    files = list((folder / "records" / "sub-S1" / "beh").glob("*run-[0-9]_beh.tsv"))
+    assert len(files) >= 9
+    for file in files:
         assert file.read_bytes() == (two / "records" / "sub-S1" / "beh" / file.name).read_bytes()
+
+
+@pytest.mark.slow
+def test_twenty_kills_of_a_session_leave_no_trace(two, tmp_path):
+    """At random moments, from before the first record on; a session that ends all the same is followed by another."""
+    rng, kills, sessions, went_on = np.random.default_rng(1), 0, 1, 0
+    while kills < 20:
+        folder = tmp_path / f"{sessions}"
+        command = [sys.executable, "-m", "guidance.lab", *SMOKE, "participant=S1", f"records={folder}/records"]
+        command.append(f"hydra.run.dir={folder}/run")
+        beh = folder / "records" / "sub-S1" / "beh"
+        before = len(list(beh.glob("*")))
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        while rng.random() < 0.9995 and len(list(beh.glob("*"))) == before and process.poll() is None:
+            time.sleep(0.01)  # seldom before it plays at all
+        time.sleep(rng.uniform(0.0, 0.5))
+        process.send_signal(signal.SIGKILL)
+        if process.wait() == 0:
+            ends_alike(command, folder, two)
+            sessions += 1
+            continue
+        assert process.returncode == -signal.SIGKILL, process.stderr.read()
+        kills, went_on = kills + 1, went_on + (before > 0)
+    ends_alike(command, folder, two)
+    assert went_on >= 10
 
 
 class Reader(Window):

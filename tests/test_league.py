@@ -73,7 +73,7 @@ def test_a_league_is_read_from_its_file_and_cut_short(tmp_path):
     league.save(tmp_path / "league.safetensors")
     read = League.load(tmp_path / "league.safetensors")
     assert read.hashes == league.hashes and read.policy.inputs.origin == "paddle"
-    assert read.until(1).hashes == league.hashes[:2]
+    assert read.until(1).hashes == league.hashes[:2] and read.until(-1).hashes == league.hashes
     observation = torch.randn(5, 12)
     assert torch.equal(read.player(2)(observation)[0], league.player(2)(observation)[0])
 

@@ -2,6 +2,7 @@
 
 import json
 import os
+import shutil
 import socket
 import subprocess
 import sys
@@ -9,7 +10,7 @@ import time
 
 import pytest
 
-from airhockey_marl.run_record import RECORD, Run, birth_of, read_run, runs_below
+from airhockey_marl.run_record import RECORD, Run, birth_of, read_run, runs_below, what_is_lost
 from guidance import runs
 from tests.test_cli import kill_at_the_first_checkpoint, start
 
@@ -82,6 +83,41 @@ def test_every_run_is_listed_with_what_became_of_it(monkeypatch, capsys, outputs
     assert lines["failed"].endswith("seed = -1 must be")
     assert f"pid {os.getpid()} on {HERE}" in lines["on"]
     assert f"resume={outputs}/killed_later goes on" in lines["killed_later"] and "resume" not in lines["killed"]
+
+
+def test_a_fresh_run_in_the_folder_of_another_is_refused_before_anything_is_written(outputs):
+    """And of a sweep's job; and of the very run that is gone on with, whose settings would be lost."""
+
+    def content(folder) -> dict:
+        return {path: (path.read_bytes(), path.stat().st_mtime_ns) for path in folder.rglob("*") if path.is_file()}
+
+    run = outputs / "done"
+    (run / ".hydra").mkdir()
+    (run / ".hydra" / "config.yaml").write_text("seed: 1\n")
+    (run / "card.json").write_text("{}")
+    (outputs / "sweep").mkdir()
+    shutil.copytree(run, outputs / "sweep" / "7")
+    before = content(outputs)
+    sweep = ["-m", f"hydra.sweep.dir={outputs}/sweep"]
+    for holder, key, arguments in ((run, "run", [f"hydra.run.dir={run}"]), (outputs / "sweep" / "7", "sweep", sweep)):
+        refused = start("airhockey_marl.train", "+preset=smoke", *reversed(arguments))
+        said = f"hydra.{key}.dir: {holder} holds a run that has left card.json; a run must have a folder of its own"
+        assert (refused.returncode, refused.stderr) == (2, f"error: {said}\n")
+        assert content(outputs) == before
+    itself = outputs / "killed_later"
+    refused = start("airhockey_marl.train", f"resume={itself}", f"hydra.run.dir={itself}")
+    assert refused.returncode == 2 and "holds a run that can be gone on with" in refused.stderr
+    assert content(outputs) == before
+
+
+def test_there_is_something_to_lose_of_a_run_that_is_on_or_can_be_resumed_or_has_left_files(outputs):
+    lost = {name: what_is_lost(outputs / name) for name in STATES if name != "within"}
+    assert {name for name, what in lost.items() if what} == {"on", "elsewhere", "killed_later"}
+    assert lost["killed_later"] == f"a run that can be gone on with: resume={outputs}/killed_later"
+    (outputs / "old" / "train.log").touch()
+    assert what_is_lost(outputs / "old") is None
+    (outputs / "old" / "card.json").touch()
+    assert what_is_lost(outputs / "old") == "a run that has left card.json"
 
 
 def test_one_command_or_status_can_be_asked_for(monkeypatch, capsys, outputs):

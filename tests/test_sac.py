@@ -128,7 +128,7 @@ def test_wrong_settings_are_named(field, value):
 
 
 def test_wrong_layers_are_named():
-    with pytest.raises(ValueError, match=r"algorithm\.q_hidden = \[\] must name"):
+    with pytest.raises(ValueError, match=r"algorithm\.q_hidden = \(\) must name"):
         SAC(**{**SETTINGS, "q_hidden": []})
 
 

@@ -397,7 +397,7 @@ def test_intentions_are_named_and_used():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: sample_people(0, 0), "people = 0 must be at least 1"),
+        (lambda: sample_people(0, 0), "people = 0 must be a whole number of at least 1"),
         (lambda: sample_people(1, -1), "seed = -1"),
         (lambda: sample_people(1, 0, archetype="goalie"), "archetype = 'goalie' must be one of striker"),
         (lambda: Population.usual(sight_delay=(0.5, 0.1, 0.1, 0.2, 0.0)), "users.sight_delay"),

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
+from airhockey_marl.checks import check_arrays, check_counts, check_numbers
 from airhockey_marl.table import LEFT, RIGHT, Table
 from airhockey_marl.tables import Tables
 from guidance.users.mentors import NO_MENTORS, Mentors
@@ -70,8 +71,8 @@ def play_anchor(
     """
     if anchor not in (*ANCHORS, "none"):
         raise ValueError(f"anchor = {anchor!r} must be one of {', '.join(ANCHORS)}, none")
-    if not seconds > 0:
-        raise ValueError(f"seconds = {seconds} must be above 0")
+    check_numbers(above=0.0, seconds=seconds)
+    check_counts(0, seed=seed)
     table = table or Table()
     rng, n = np.random.default_rng([seed, (*ANCHORS, "none").index(anchor)]), len(people)
     held, angle = max(1, round(RANDOM_HELD / table.tick)), np.zeros(n)
@@ -112,6 +113,7 @@ def play_pushed(
     mentors: Mentors,
 ) -> Users:
     """Let everyone play while `push`, told who they are and the number of the tick, says the forces (n, 2) in N."""
+    check_counts(0, ticks=ticks, seed=seed)
     n = len(people)
     tables = Tables(n, table)
     tables.seed(seed)
@@ -136,6 +138,7 @@ def ordered(appraised: Mapping[str, np.ndarray]) -> dict[str, bool]:
     Args:
         appraised: per anchor the z-scores (n, 4) of `rating.appraisals`.
     """
+    check_arrays(**{f"appraised.{anchor}": (appraised.get(anchor), f"n {len(RATINGS)}") for anchor in ANCHORS})
     means = np.stack([appraised[anchor].mean(axis=0) for anchor in ANCHORS])
     return dict(zip(RATINGS, (np.diff(means, axis=0) <= 0).all(axis=0).tolist(), strict=True))
 

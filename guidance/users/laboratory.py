@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from airhockey_marl.checks import check_arrays, check_counts, check_numbers
 from airhockey_marl.table import Table
 from guidance.users.arm import HAND_REACH
 from guidance.users.geometry import to_table
@@ -59,7 +60,12 @@ def observe(
         marks: (people, trials, ticks, 4) the mark's place and velocity in m and m/s of the table.
         force: (people, trials, ticks, 2) N on the hand, or None.
     """
+    check_arrays("V", people=(people, "people"))
+    check_arrays(marks=(marks, f"{len(people)} trials ticks 4"))
     n, trials, ticks = marks.shape[:3]
+    if force is not None:
+        check_arrays(force=(force, f"{n} {trials} {ticks} 2"))
+    check_counts(0, seed=seed)
     users = Users(np.repeat(people, trials), personal_streams(n * trials, seed), TABLE, variant)
     users.instruct(task)
     marks = marks.reshape(n * trials, ticks, 4)
@@ -87,6 +93,8 @@ def marks_at(places: np.ndarray, since: np.ndarray, ticks: int) -> np.ndarray:
     Returns:
         (..., ticks, 4).
     """
+    check_arrays(places=(places, "... k 2"), since=(since, "... k"))
+    check_counts(ticks=ticks)
     marks = np.zeros((*since.shape[:-1], ticks, 4))
     marks[..., 0] = FAR
     for place, first in zip(np.moveaxis(places, -2, 0), np.moveaxis(since, -1, 0), strict=True):
@@ -107,6 +115,7 @@ def _on_table(hand: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def onset(speed: np.ndarray, start: np.ndarray) -> np.ndarray:
     """Seconds (...) from the beginning of tick `start` (...) until the speed (..., ticks) rises above `MOVING`."""
+    check_arrays(start=(start, "..."), speed=(speed, "... ticks"))
     ticks = np.arange(speed.shape[-1])
     moving = (speed > MOVING) & (ticks >= start[..., None])
     first = moving.argmax(-1)
@@ -117,6 +126,8 @@ def onset(speed: np.ndarray, start: np.ndarray) -> np.ndarray:
 
 def reaction_times(people: np.ndarray, trials: int = 20, seed: int = 0) -> np.ndarray:
     """Simple visual reaction time, s: the hand rests at home; a mark appears beside it, the hand is to go there."""
+    check_counts(trials=trials)
+    check_counts(0, seed=seed)
     rng = np.random.default_rng([seed, 1])
     shape = (len(people), trials)
     appears = rng.integers(60, 100, shape)
@@ -143,6 +154,7 @@ class Reaches:
 
     def movement_time(self, width: float) -> np.ndarray:
         """(people, trials) s from the onset until the hand stays within half a `width` of the mark; m."""
+        check_numbers(above=0.0, width=width)
         start = onset(self.record.speed, self.jump)
         ticks, held = self.off.shape[-1], round(HOLD / TABLE.tick)
         inside = self.off <= width / 2
@@ -172,6 +184,8 @@ class Reaches:
 
 def reaches(people: np.ndarray, trials: int = 40, seed: int = 0) -> Reaches:
     """Reaches of 1.5 to 12 cm in random directions, from rest to rest."""
+    check_counts(trials=trials)
+    check_counts(0, seed=seed)
     rng = np.random.default_rng([seed, 2])
     shape = (len(people), trials)
     distance = 0.015 * 8 ** rng.random(shape)
@@ -205,6 +219,8 @@ def timing_errors(people: np.ndarray, trials: int = 30, seed: int = 0) -> np.nda
 
     The moment meant is the one planned last; not a number where no blow was under way.
     """
+    check_counts(trials=trials)
+    check_counts(0, seed=seed)
     rng = np.random.default_rng([seed, 3])
     shape, ticks = (len(people), trials), 160
     speed = rng.uniform(0.5, 1.0, shape)[..., None]
@@ -236,6 +252,9 @@ def mechanics(
 
     A random force of 0.5 N either way that changes every 60 ms, and the least-squares fit of F = M x'' + B x' + K x.
     """
+    check_counts(trials=trials)
+    check_counts(0, seed=seed)
+    check_numbers(above=1.0, seconds=seconds)
     rng = np.random.default_rng([seed, 4])
     ticks, held = round(seconds / TABLE.tick), 3
     shape = (len(people), trials)
@@ -256,6 +275,8 @@ def push_response(
     people: np.ndarray, variant: str = "V1", newtons: float = 2.0, seconds: float = 1.0, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """A hand that holds still is pushed sideways: (ticks,) s since the push, (people, ticks) m it gives way."""
+    check_numbers(above=0.0, seconds=seconds)
+    check_numbers(newtons=newtons)
     ticks, start = round((1.6 + seconds) / TABLE.tick), 60
     shape = (len(people), 1)
     force = np.zeros((*shape, ticks, 2))

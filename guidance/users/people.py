@@ -4,6 +4,7 @@ from math import ceil
 
 import numpy as np
 
+from airhockey_marl.checks import check_rows
 from airhockey_marl.parallel import over_rows
 from airhockey_marl.table import Table, check_table
 from guidance.users.arm import ARM
@@ -104,11 +105,14 @@ class Users:
             ValueError: a shape is wrong or a value is not finite.
         """
         for name, value, columns in (("state", state, 12), ("force", force, 2)):
-            if np.shape(value) != (self.n, columns):
-                raise ValueError(f"{name} of shape {np.shape(value)} must be ({self.n}, {columns})")
+            if np.shape(value) != (self.n, columns) or np.asarray(value).dtype.kind not in "fiu":
+                raise ValueError(f"{name} of shape {np.shape(value)} must be numbers ({self.n}, {columns})")
             if not np.isfinite(value).all():
                 raise ValueError(f"{name} = {np.asarray(value)[~np.isfinite(value)][0]} must be finite")
-        rows = self._all if rows is None else rows
+        if rows is None:
+            rows = self._all
+        else:
+            check_rows("rows", rows, self.n)
         over_rows(
             play,
             rows,

@@ -14,6 +14,7 @@ from math import hypot
 import numpy as np
 from numba import njit
 
+from airhockey_marl.checks import check_arrays, kind_of
 from airhockey_marl.tables import random_unit
 from guidance.users.perception import standard_normal
 from guidance.users.reaction import agreement, stiffness_now
@@ -71,6 +72,8 @@ def signals(tallies: np.ndarray) -> np.ndarray:
     N, N, W, m, N, N/s (root mean square), N, m. All are 0 without a force; so is hindsight help, which then
     says nothing.
     """
+    if tallies.dtype != TALLY or tallies.ndim != 1:
+        raise ValueError(f"tallies: {kind_of(tallies)}, must be TALLY of shape (n,)")
     ticks = np.maximum(tallies["ticks"], 1)
     means = np.stack([tallies[name] / ticks for name in SIGNALS], axis=1)
     means[:, SIGNALS.index("jerk")] = np.sqrt(means[:, SIGNALS.index("jerk")])
@@ -81,6 +84,7 @@ def signals(tallies: np.ndarray) -> np.ndarray:
 
 def appraisals(scaled: np.ndarray) -> np.ndarray:
     """(n, 8) signals in units of their anchors -> (n, 4) z-scores in the order of `RATINGS`."""
+    check_arrays(scaled=(scaled, f"n {len(SIGNALS)}"))
     conflict, unsupported, power, deviation, effort, jerk, surprise, hindsight = scaled.T
     return np.stack(
         [
@@ -104,6 +108,9 @@ def answers(people: np.ndarray, z: np.ndarray, streams: np.ndarray) -> dict[str,
     Returns:
         Per rating (n,) float64.
     """
+    check_arrays("V", people=(people, "n"))
+    check_arrays(z=(z, f"{len(people)} {len(RATINGS)}"))
+    check_arrays("u", streams=(streams, f"{len(people)}"))
     rng = streams ^ np.uint64(0x5851F42D4C957F2D)  # not the noise that the next game will use
     noise = _normals(rng, len(RATINGS))
     gain, bias, spread = (people[name][:, None] for name in ("rating_gain", "rating_bias", "rating_noise"))

@@ -5,6 +5,7 @@ from math import erf, sqrt
 
 import numpy as np
 
+from airhockey_marl.checks import check_counts
 from guidance.users.laws import LogNormal, ScaledBeta, is_number
 from guidance.users.population import PERSON, TRAITS, WORTHS, Population
 
@@ -47,8 +48,7 @@ def _draw_person(person: np.void, rng: np.random.Generator, population: Populati
 
 def _people(wanted: list[str | None], seed: int, stream: int, population: Population | None) -> np.ndarray:
     population = population or Population.usual()
-    if isinstance(seed, bool) or int(seed) != seed or seed < 0:
-        raise ValueError(f"seed = {seed} must be a whole number of at least 0")
+    check_counts(0, seed=seed)
     people = np.zeros(len(wanted), dtype=PERSON)
     for index, archetype in enumerate(wanted):
         if archetype is not None and archetype not in population.archetypes:
@@ -67,8 +67,7 @@ def sample_people(n: int, seed: int, population: Population | None = None, arche
     Raises:
         ValueError: n below 1, a negative seed or an unknown archetype.
     """
-    if n < 1:
-        raise ValueError(f"people = {n} must be at least 1")
+    check_counts(people=n)
     return _people([archetype] * n, seed, STUDY, population)
 
 
@@ -83,4 +82,6 @@ def training_people(seed: int, population: Population | None = None) -> np.ndarr
 
 def personal_streams(n: int, seed: int) -> np.ndarray:
     """(n,) uint64: the state of each person's own splitmix64 stream, far apart in its period."""
+    check_counts(n=n)
+    check_counts(0, seed=seed)
     return (np.arange(n, dtype=np.uint64) + np.uint64(seed % 2**63 + 1)) * np.uint64(0xA24BAED4963EE407)
