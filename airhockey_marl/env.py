@@ -102,11 +102,12 @@ class AirHockey(ParallelEnv):
         """Play one step. Actions outside [-1, 1] are clipped; one that is not a number means stay."""
         if not self.agents:
             raise RuntimeError("the round is over: call reset() first")
-        for seat in SEATS:
-            action = actions.get(seat)
-            if (action.shape if isinstance(action, np.ndarray) else np.shape(action)) != (ACTION_SIZE,):
-                raise ValueError(f"actions[{seat!r}]: {kind_of(action)}, must be numbers of shape (2,)")
-        self._actions[0, LEFT], self._actions[0, RIGHT] = actions["left"], actions["right"]
+        left, right = actions.get("left"), actions.get("right")
+        if not getattr(left, "shape", None) == getattr(right, "shape", None) == (ACTION_SIZE,):  # or lists of two
+            for seat in SEATS:
+                if np.shape(actions.get(seat)) != (ACTION_SIZE,):
+                    raise ValueError(f"actions[{seat!r}]: {kind_of(actions.get(seat))}, must be numbers of shape (2,)")
+        self._actions[0, LEFT], self._actions[0, RIGHT] = left, right
         self.tables.step(self._actions, self.decision_ticks)
         self._steps += 1
         goal = int(self.tables.goals[0])

@@ -119,6 +119,9 @@ def observe(bodies, seat, out):
             out[index, 8 + column] = turn * bodies[index, PUCK, column]
 
 
+WHOLE = (int, np.integer)  # a tuple, made once: what is asked of every step
+
+
 class Tables:
     """n tables side by side, each with its own stream of random numbers.
 
@@ -172,7 +175,7 @@ class Tables:
             rows = self._all
         else:
             check_rows("rows", rows, self.n)
-        if not isinstance(ticks, int | np.integer) or ticks < 0:
+        if not isinstance(ticks, WHOLE) or ticks < 0:
             raise ValueError(f"ticks = {ticks!r} must be a whole number of at least 0")
         arguments = (
             self.bodies,

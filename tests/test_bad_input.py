@@ -23,6 +23,8 @@ from guidance.safety import Limits
 from guidance.user_model import Demonstrations, adapt_to_user, prediction_loss, train_maml, train_supervised
 from guidance.users import Users, personal_streams, sample_people
 
+GAME = AirHockey()
+GAME.reset(seed=0)
 TWO, POLICY = Tables(2), GaussianPolicy([4])
 ACTIONS, ROWS = np.zeros((2, 2, 2)), np.array([0, 1])
 VECTOR, ELSEWHERE = torch.zeros(3, 2), torch.zeros(3, 2, device="meta")
@@ -67,6 +69,8 @@ TABLE = [
     ),
     (lambda: TWO.observe(LEFT, np.zeros((1, 12))), r"out: float64 of shape \(1, 12\)"),
     (lambda: check_table(Table(goal="wide")), r"table\.goal = wide must be a number"),
+    (lambda: GAME.step({"left": ROWS, "right": [0.0]}), r"actions\['right'\]: list, must be numbers of shape \(2,\)"),
+    (lambda: GAME.step({"left": ROWS}), r"actions\['right'\]: NoneType, must be numbers"),
     (lambda: AirHockey(render_mode="gif"), r"render_mode = 'gif' must be None or 'rgb_array'"),
     (lambda: make_env("batched", 2, -1.0, 1, 0), r"round_seconds = -1\.0 must be at least"),
     (lambda: make_env("batched", 2, 1.0, 0, 0), r"decision_ticks = 0 must be a whole number of at least 1"),
