@@ -57,27 +57,26 @@ def check_arrays(kinds: str = "fiu", **named: tuple[np.ndarray, str]) -> None:
             raise ValueError(f"{name}: {trouble}{_beside(name, named)}")
 
 
-def check_view(view: TensorDictBase, *names: str) -> None:
+def check_view(view: TensorDictBase, acted: bool = True) -> None:
     """Refuse what is no batch of play, see `learner.Learner.update`.
 
     Args:
-        names: what it must have beside observations and what comes next.
+        acted: whether it must have actions.
 
     Raises:
         ValueError: names what is absent, or of another shape or dtype.
     """
     if not isinstance(view, TensorDictBase):
         raise ValueError(f"view: {kind_of(view)}, must be a TensorDict")
-    shapes = {"observation": "tables steps 12", "action": "tables steps 2"}
-    wanted = {("observation",): shapes["observation"], **{(name,): shapes[name] for name in names}}
-    wanted |= {("next", "observation"): "tables steps 12", ("next", "reward"): "tables steps 1"}
-    flags = [("next", name) for name in ("done", "terminated")]
-    if absent := [".".join(key) for key in (*wanted, *flags) if view.get(key, None) is None]:
+    shapes = {"observation": "tables steps 12"} | ({"action": "tables steps 2"} if acted else {})
+    shapes |= {"next.observation": "tables steps 12", "next.reward": "tables steps 1"}
+    found = {name: view.get(tuple(name.split(".")), None) for name in (*shapes, "next.done", "next.terminated")}
+    if absent := [name for name, tensor in found.items() if tensor is None]:
         raise ValueError(f"view: has no {', '.join(absent)}")
-    check_tensors(**{f"view.{'.'.join(key)}": (view[key], shape) for key, shape in wanted.items()})
-    for key in flags:
-        if view[key].dtype != torch.bool or view[key].shape != view["next", "reward"].shape:
-            raise ValueError(f"view.{'.'.join(key)}: {kind_of(view[key])}, must be bools, one for each reward")
+    check_tensors(**{f"view.{name}": (found[name], shape) for name, shape in shapes.items()})
+    for name in ("next.done", "next.terminated"):
+        if found[name].dtype != torch.bool or found[name].shape != found["next.reward"].shape:
+            raise ValueError(f"view.{name}: {kind_of(found[name])}, must be bools, one for each reward")
 
 
 def check_rows(name: str, rows: np.ndarray, n: int) -> None:

@@ -89,7 +89,7 @@ class ClippedSurrogate:
             What to log: kl of the old policy from the new one, mean STD before, critic loss (mean squared error over
             the epochs).
         """
-        check_view(view, "action")
+        check_view(view)
         advantage, target = advantages(self.critic, view, self.gamma, self.settings.gae_lambda)
         batch = view.select("observation", "action").reshape(-1)
         advantage, batch["value_target"] = advantage.flatten(0, 1), target.flatten(0, 1)

@@ -118,7 +118,7 @@ class Memory(nn.Module):
 
     def extend(self, view: TensorDictBase) -> None:
         """Remember a batch of play, see `learner.Learner`; the oldest makes room."""
-        check_view(view, "action")
+        check_view(view)
         flat, capacity = view.reshape(-1), len(self.reward)
         flat = flat[-capacity:]
         place = (self.written + torch.arange(len(flat), device=self.written.device)) % capacity

@@ -91,7 +91,7 @@ def advantages(critic: nn.Module, view: TensorDictBase, gamma: float, gae_lambda
         view: (tables, steps) as for `learner.Learner`. Where a round goes on, the next step's value is the value of
             the next observation; only the others are asked for apart, which halves the work.
     """
-    check_view(view)
+    check_view(view, acted=False)
     check_numbers(0.0, at_most=1.0, gamma=gamma, gae_lambda=gae_lambda)
     following, value = view["next"], critic(view["observation"])
     apart = following["done"].squeeze(-1).clone()
@@ -162,7 +162,7 @@ class TrustRegion:
         Returns:
             What to log: kl, surrogate gain, accepted step (0 if none was), mean STD, critic loss.
         """
-        check_view(view, "action")
+        check_view(view)
         advantage, target = advantages(self.critic, view, self.gamma, self.settings.gae_lambda)
         observation, action = view["observation"].flatten(0, 1), view["action"].flatten(0, 1)
         metrics = self.improve_policy(observation, action, advantage.flatten())
