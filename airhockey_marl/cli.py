@@ -44,23 +44,31 @@ PLUGINS = {
 
 # ${project:path} in a yaml is a path in the project, from whatever folder a command is started.
 OmegaConf.register_new_resolver("project", lambda path: str(ROOT / path), replace=True)
+COMPUTERS = ("cpu", "cuda")  # of conf/device
 
 
 class InputError(ValueError):
     """Something the person at the keyboard can mend: named in one line, exit code 2, no traceback."""
 
 
-def choices() -> dict[str, list[str]]:
-    """The configuration's groups and what each can be: the folders of `conf/` and the files in them."""
+def choices(name: str) -> dict[str, list[str]]:
+    """The configuration's groups and what each can be: the folders of `conf/` and the files in them.
+
+    A device is what models compute on to some commands, and what a hand holds to others: each has its own.
+    """
     folders = sorted(path for path in CONF.iterdir() if path.is_dir() and path.name != "hydra")
-    return {folder.name: sorted(path.stem for path in folder.glob("*.yaml")) for folder in folders}
+    found = {folder.name: sorted(path.stem for path in folder.glob("*.yaml")) for folder in folders}
+    usual = _defaults(name).get("device")
+    if usual is not None:
+        found["device"] = [device for device in found["device"] if (device in COMPUTERS) == (usual in COMPUTERS)]
+    return found
 
 
-def wrong_choice(arguments: Sequence[str]) -> str | None:
+def wrong_choice(name: str, arguments: Sequence[str]) -> str | None:
     """What is wrong with the first argument that asks for something its group does not have; None if none does."""
     for argument in arguments:
         group, _, wanted = argument.lstrip("+").partition("=")
-        options = choices().get(group, [])
+        options = choices(name).get(group, [])
         for choice in wanted.split(",") if options else []:
             if choice not in (*options, "null") and "(" not in wanted:  # Hydra sees to glob(*) and its kin
                 return f"{group} = {choice} must be one of {', '.join(options)}"
@@ -81,7 +89,7 @@ def input_errors() -> Iterator[None]:
 def manual(name: str, doc: str) -> str:
     """The text of `--help`: the command's docstring, the choices of each group, and its primary yaml as commented."""
     launchers = sorted(path.stem for path in (CONF / "hydra" / "launcher").glob("*.yaml"))
-    options_of = choices() | {"hydra/launcher": ["basic", *launchers]}
+    options_of = choices(name) | {"hydra/launcher": ["basic", *launchers]}
     groups = [f"  {group} = {' | '.join(options)}" for group, options in options_of.items()]
     return "\n".join(
         [
@@ -152,7 +160,7 @@ def command(name: str) -> Callable[[Callable[[DictConfig], float | None]], Calla
             if {"--help", "-h"} & set(sys.argv[1:]):
                 print(manual(name, sys.modules[task.__module__].__doc__ or ""))
                 return
-            if complaint := wrong_choice(sys.argv[1:]) or missing_extra(sys.argv[1:]):
+            if complaint := wrong_choice(name, sys.argv[1:]) or missing_extra(sys.argv[1:]):
                 _say_error(complaint)
                 sys.exit(2)
             _register_plugins(sys.argv[1:])
@@ -266,7 +274,6 @@ def require_device(cfg: DictConfig) -> None:
     import torch  # not above: the commands that only read start without it
 
     there = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
-    there += [f"cuda:{index}" for index in range(torch.cuda.device_count())]
     if cfg.device not in there:
         raise InputError(f"device = {cfg.device} must be one of {', '.join(there)}, which are what there is here")
 
@@ -304,9 +311,13 @@ def _keep_own_keys(cfg: DictConfig, name: str) -> None:
 
 def _own_keys(name: str) -> set[str]:
     """The keys at the top of a command's configuration: its groups, and those of its yaml."""
-    primary = OmegaConf.load(CONF / f"{name}.yaml")
-    groups = {key for entry in primary.get("defaults", []) if isinstance(entry, DictConfig) for key in entry}
-    return groups | set(primary)
+    return set(_defaults(name)) | set(OmegaConf.load(CONF / f"{name}.yaml"))
+
+
+def _defaults(name: str) -> dict[str, str]:
+    """The groups of a command's configuration, and what each is if nothing else is asked for."""
+    entries = OmegaConf.load(CONF / f"{name}.yaml").get("defaults", [])
+    return {key: choice for entry in entries if isinstance(entry, DictConfig) for key, choice in entry.items()}
 
 
 def _is_there(module: str) -> bool:

@@ -154,7 +154,7 @@ def check(cfg: DictConfig, ticks_per_second: int) -> None:
         raise InputError(f"frames_per_second = {cfg.frames_per_second} must divide {ticks_per_second}")
     require_numbers(cfg, "speed", at_most=ticks_per_second / cfg.frames_per_second)
     if cfg.get("condition") is None:
-        raise InputError(f"condition = null must be one of {', '.join(choices()['condition'])}")
+        raise InputError(f"condition = null must be one of {', '.join(choices('watch')['condition'])}")
     check_variant(cfg.users.variant)
 
 

@@ -205,6 +205,7 @@ def test_who_is_told_to_end_ends_well(tmp_path):
 @pytest.mark.parametrize(
     ("argument", "message"),
     [
+        ("device=cuda", "device = cuda must be one of forcedimension, gamepad, mouse, simulated"),
         ("device=joystick", "device = joystick must be one of forcedimension, gamepad, mouse, simulated"),
         ("device.fastest=0", "device.fastest = 0 must be a number above 0"),
         ("device=gamepad", "device: gamepad = 0 must be the index of a connected gamepad, of which there are 0"),
