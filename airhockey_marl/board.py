@@ -71,7 +71,8 @@ LAYOUT = {
     },
 }
 STAMPED = re.compile(r"(events\.out\.tfevents\.)(\d{10})(\..*)")
-NOT_SETTINGS = ("resume", "threads", "device", "pictures_every", "_convert_", "_partial_")  # how a run is run, not what it is
+# how a run is run, not what it is
+NOT_SETTINGS = ("resume", "threads", "device", "pictures_every", "_convert_", "_partial_")
 SCORES = "scores"  # the folder of what the HPARAMS page shows
 
 
