@@ -158,7 +158,7 @@ def win_rates_figure(matches: pd.DataFrame) -> Figure:
     if 0 < len(scripts) < k:
         axes.axhline(k - len(scripts) - 0.5, color=INK, linewidth=0.9)
     axes.set_xlabel("generation, when it was the newest")
-    axes.set_ylabel("against generation (or script)")
+    axes.set_ylabel("against")
     axes.spines[:].set_visible(False)
     return figure
 
