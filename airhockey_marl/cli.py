@@ -66,9 +66,10 @@ def choices(name: str) -> dict[str, list[str]]:
 
 def wrong_choice(name: str, arguments: Sequence[str]) -> str | None:
     """What is wrong with the first argument that asks for something its group does not have; None if none does."""
+    options_of = choices(name)
     for argument in arguments:
         group, _, wanted = argument.lstrip("+").partition("=")
-        options = choices(name).get(group, [])
+        options = options_of.get(group, [])
         for choice in wanted.split(",") if options else []:
             if choice not in (*options, "null") and "(" not in wanted:  # Hydra sees to glob(*) and its kin
                 return f"{group} = {choice} must be one of {', '.join(options)}"

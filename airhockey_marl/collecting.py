@@ -8,7 +8,7 @@ rows may be rounded otherwise; where it is not, the league is the same to the la
 
 import sys
 import warnings
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -21,7 +21,9 @@ from tensordict.nn import TensorDictSequential
 from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector, MultiCollector
 
+from airhockey_marl import cluster
 from airhockey_marl.checks import check_counts
+from airhockey_marl.cluster import HERE
 from airhockey_marl.env import make_env, serve_streams
 from airhockey_marl.league import Lineup
 from airhockey_marl.policy import GaussianPolicy
@@ -29,7 +31,6 @@ from airhockey_marl.seats import LEARNER, OPPONENT, Seat, Share, actor
 
 SINGLE, MULTISYNC, RAY = "single", "multisync", "ray"
 KINDS = (SINGLE, MULTISYNC, RAY)
-HERE = "local"  # a Ray cluster of this machine, started for the purpose
 
 
 @dataclass(frozen=True)
@@ -145,9 +146,9 @@ class Crew:
         """Let the workers go."""
         self.collector.shutdown()
 
-    def _tell(self, what: str, arguments: Sequence[tuple] | None = None) -> list:
+    def _tell(self, what: str, arguments: list[tuple] | None = None) -> list:
         """Call a method of each worker's `TablesCollector`."""
-        return self.collector.map_fn(what, list(arguments) if arguments is not None else None)
+        return self.collector.map_fn(what, arguments)
 
 
 def _both_seats(facts: Mapping[str, Any], share: Share, random_state: Tensor) -> BothSeats:
@@ -182,9 +183,7 @@ def _ray(how: Collecting, envs: list, seats: list, batch: int) -> BaseCollector:
     import ray
     from torchrl.collectors.distributed import RayCollector
 
-    if not ray.is_initialized():
-        here = {"num_cpus": how.workers} if how.address == HERE else {"address": how.address}
-        ray.init(**here, include_dashboard=False, log_to_driver=False)
+    cluster.join(how.address, how.workers)
     cores = int(ray.cluster_resources().get("CPU", 0))
     if cores < how.workers:  # the actors would be waited for in vain
         raise ValueError(f"collector.workers = {how.workers} must be at most {cores}, the cores of the Ray cluster")

@@ -153,10 +153,9 @@ class AllAtOnce:
         _check_asked(observation, which, len(self._weights["head.bias"]))
         asked = torch.from_numpy(observation).float().to(self._device)
         if which is None:
-            models, asked = torch.zeros(1, dtype=torch.int64), asked[None]
+            models, asked = slice(1), asked[None]
         else:
-            models, asked = torch.from_numpy(which), asked[:, None]
-        models = models.to(self._device)
+            models, asked = torch.from_numpy(which).to(self._device), asked[:, None]
         weights = {name: tensor[models] for name, tensor in self._weights.items()}
         mean, std = (part.flatten(0, 1).cpu() for part in self._policy.forward_each(weights, asked))
         return mean.numpy(), std.numpy()

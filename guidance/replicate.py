@@ -30,6 +30,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
+from airhockey_marl import cluster
 from airhockey_marl.building import build
 from airhockey_marl.cli import (
     InputError,
@@ -41,6 +42,7 @@ from airhockey_marl.cli import (
     require_device,
     require_numbers,
 )
+from airhockey_marl.cluster import HERE
 from airhockey_marl.files import replacing, write_json, write_text
 from airhockey_marl.lock import locked
 from airhockey_marl.page import template
@@ -56,7 +58,6 @@ from guidance.users.population import TRAITS
 from guidance.users.reaction import check_variant
 
 STATE = "manifest.json"  # written when a run begins
-HERE = "local"  # in place of a cluster's address: one that is started on this machine
 # groups of studies: that assume what the study assumes; that leave UA nothing to do; and by the name of their variant,
 # those under other assumptions
 AS_IT_IS, SWAPPED, ALIKE = "replicates", "swapped", "alike"
@@ -136,8 +137,7 @@ def on_ray(
     """
     import ray
 
-    if not ray.is_initialized():
-        ray.init(address=None if cfg.ray == HERE else cfg.ray, include_dashboard=False, log_to_driver=False)
+    cluster.join(cfg.ray)
     task = ray.remote(num_cpus=1)(_play_alone)
     plain = OmegaConf.to_container(cfg, resolve=True)
     waiting, failure = {task.remote(plain, batch): batch for batch in batches}, None

@@ -17,7 +17,7 @@ MODULES = {
     "airhockey_marl": {
         COMMAND: "cli compare grid league_report train",
         DRAWN: "board figures findings page report",
-        ROUTE: "files kept_config launchers lock run_record",
+        ROUTE: "cluster files kept_config launchers lock run_record",
         "is what refuses": "building checks",
         "takes a configuration; counts and seed are looked at like those of `match`": "exploit",
         "refuses numbers that are wrong by a FloatingPointError; see test_guards": "guards",
