@@ -1,4 +1,4 @@
-"""MAML's own example with `guidance.maml`: learn to learn sine curves from ten points (Finn et al. 2017, section 5.1).
+"""MAML's own example with `guidance.user_model.maml`: learn to learn sine curves from ten points (Finn et al. 2017, section 5.1).
 
     python -m guidance.examples.sinusoid            10,000 meta-steps, a minute or two
     python -m guidance.examples.sinusoid 70000      as many as in the original
@@ -15,7 +15,7 @@ from torch import Generator, Tensor, nn
 from torch.nn.functional import mse_loss
 from tqdm import trange
 
-from guidance.maml import adapt_each, forward, meta_loss, parameters
+from guidance.user_model.maml import adapt_each, forward, meta_loss, parameters
 
 Points = tuple[Tensor, Tensor]
 """x (curves, n, 1) and y (curves, n, 1)."""

@@ -17,10 +17,10 @@ import numpy as np
 import torch
 from torch import Generator, Tensor, nn
 
-from guidance.forces import combine, lookahead, similarity_weight, spring_force
-from guidance.maml import adapt_each, forward, forward_each, meta_loss, parameters
-from guidance.metrics import disagreement
-from guidance.user_model import prediction_loss
+from guidance.forces.equations import combine, lookahead, similarity_weight, spring_force
+from guidance.study.metrics import disagreement
+from guidance.user_model.loss import prediction_loss
+from guidance.user_model.maml import adapt_each, forward, forward_each, meta_loss, parameters
 
 TICK, SUBSTEPS = 0.02, 10  # s, and steps of the arm in one
 STIFFNESS, LIMIT, LOOKAHEAD = 40.0, 3.0, 0.1  # N/m, N, s: K T_lookahead is 0.8 of the least damping of a hand, 5 N s/m

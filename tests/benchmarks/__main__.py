@@ -21,23 +21,23 @@ import torch
 from hydra import compose, initialize_config_dir
 from torch.func import grad_and_value
 
-from airhockey_marl.building import build
-from airhockey_marl.cli import CONF
-from airhockey_marl.collecting import MULTISYNC, Collecting, Crew
-from airhockey_marl.env import SEATS, AirHockey
-from airhockey_marl.inference import steady
-from airhockey_marl.league import League
-from airhockey_marl.policy import USER_PREDICTION_HIDDEN, GaussianPolicy
-from airhockey_marl.table import Table
-from airhockey_marl.tables import Tables
-from airhockey_marl.train import train
-from guidance.maml import forward, meta_loss, parameters
-from guidance.meta_train import COMPILERS
-from guidance.models import Models
-from guidance.provenance import chosen_conditions
-from guidance.study import run_study
-from guidance.user_model import prediction_loss
-from guidance.users import Users, load_mentors, personal_streams, sample_people
+from airhockey_marl.envs.pettingzoo_env import AirHockey
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.world import SEATS, Tables
+from airhockey_marl.experiment.building import build
+from airhockey_marl.experiment.command import CONF
+from airhockey_marl.league.league import League
+from airhockey_marl.players.inference import steady
+from airhockey_marl.players.networks import USER_PREDICTION_HIDDEN, GaussianPolicy
+from airhockey_marl.self_play.collectors import MULTISYNC, Collecting, Crew
+from airhockey_marl.self_play.league_training import train
+from guidance.commands.meta_train import COMPILERS
+from guidance.simulated_users import Users, load_mentors, personal_streams, sample_people
+from guidance.study.models import Models
+from guidance.study.provenance import chosen_conditions
+from guidance.study.study import run_study
+from guidance.user_model.loss import prediction_loss
+from guidance.user_model.maml import forward, meta_loss, parameters
 from tests.benchmarks.peer_maml import peer_maml
 from tests.benchmarks.peer_trpo import peer_frames
 from tests.benchmarks.seat import seat_punctuality

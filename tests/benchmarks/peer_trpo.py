@@ -18,12 +18,11 @@ from hydra import compose, initialize_config_dir
 from omegaconf import DictConfig
 from torch import nn
 
-from airhockey_marl.cli import CONF
-from airhockey_marl.env import ACTION_SIZE, OBSERVATION_SIZE, steps_of
-from airhockey_marl.match import Player, sampled
-from airhockey_marl.policy import GaussianPolicy, relu_layers
-from airhockey_marl.table import LEFT, RIGHT
-from airhockey_marl.tables import Tables
+from airhockey_marl.envs.physics import LEFT, RIGHT
+from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, Tables, steps_of
+from airhockey_marl.experiment.command import CONF
+from airhockey_marl.players.networks import GaussianPolicy, relu_layers
+from airhockey_marl.players.players import Player, sampled
 
 try:
     from sb3_contrib import TRPO

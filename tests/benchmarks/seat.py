@@ -8,20 +8,20 @@ import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
 
-from airhockey_marl.cli import CONF
-from airhockey_marl.league import League
-from airhockey_marl.table import Table
-from guidance.clock import WallClock
-from guidance.devices.simulated import Simulated
-from guidance.games import streams
-from guidance.models import Models
-from guidance.play import Play
-from guidance.provenance import chosen_conditions
-from guidance.safety import Limits
-from guidance.seat import Seat
-from guidance.servo import Inline
-from guidance.users import Users, sample_people
-from guidance.window.window import Window
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.experiment.command import CONF
+from airhockey_marl.league.league import League
+from guidance.commands.play import Play
+from guidance.display.window import Window
+from guidance.haptics.clock import WallClock
+from guidance.haptics.devices.simulated import Simulated
+from guidance.haptics.safety import Limits
+from guidance.haptics.seat import Seat
+from guidance.haptics.servo import Inline
+from guidance.simulated_users import Users, sample_people
+from guidance.study.models import Models
+from guidance.study.protocol import streams
+from guidance.study.provenance import chosen_conditions
 
 WARM_UP = 100  # ticks and pictures at the beginning that are not counted: the first ones compile
 

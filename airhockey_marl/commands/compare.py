@@ -1,0 +1,42 @@
+"""Compare algorithms by the leagues they trained: how they play against scripts, their beginnings, and each other.
+
+    python -m airhockey_marl.train -m algorithm=trpo,ppo,sac seed=0,1,2     nine runs, one after another
+    airhockey compare runs=outputs/train/<date>/<time>-sweep
+
+Of each run, five generations (the first, the last and the quarters between) play the scripted anchors and their own
+generation 0; and the last generations of all runs play each other. All sample their actions, as in training. Writes
+comparison.csv, a row per match and side, and comparison.png into its run folder, and prints a table.
+"""
+
+from pathlib import Path
+
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from airhockey_marl.evaluation.comparison import LEAGUE, check_runs, compare, figure, read_run, screen_table
+from airhockey_marl.experiment.command import command, input_errors, require_counts
+from airhockey_marl.experiment.files import found_below, replacing
+
+
+@command("compare")
+def main(cfg: DictConfig) -> None:
+    with input_errors():
+        require_counts(cfg, "rounds", "threads")
+        require_counts(cfg, "seed", least=0)
+        places = [cfg.runs] if isinstance(cfg.runs, str) else cfg.runs
+        runs = [read_run(file.parent) for file in found_below(places, LEAGUE)]
+        check_runs(runs)
+    torch.set_num_threads(cfg.threads)
+    folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
+    results = compare(runs, cfg.rounds, cfg.seed)
+    with replacing(folder / "comparison.csv") as path:
+        results.to_csv(path, index=False)
+    with replacing(folder / "comparison.png") as path:
+        figure(results).savefig(path, dpi=150)
+    print(screen_table(results))
+    print(f"\n{folder / 'comparison.csv'}\n{folder / 'comparison.png'}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,85 @@
+"""Report how good a league is: who beats whom, ratings, saves, and whether the STD means anything.
+
+    airhockey league_report                         the shipped league
+    airhockey league_report run=outputs/train/...   one of your own
+
+Writes league_report.html, the page, league_report.json, payoff.csv, ratings.csv, the figures and match.gif into its run
+folder, and what TensorBoard reads.
+"""
+
+import json
+from pathlib import Path
+
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from torch.utils.tensorboard import SummaryWriter
+
+from airhockey_marl.evaluation.league_metrics import Effort, check
+from airhockey_marl.evaluation.league_report import log_to_tensorboard, summary, write_report
+from airhockey_marl.evaluation.matches import DECISION_TICKS
+from airhockey_marl.evaluation.ratings import read_matches
+from airhockey_marl.experiment.command import (
+    InputError,
+    ProgressBar,
+    command,
+    input_errors,
+    require_counts,
+    require_numbers,
+)
+from airhockey_marl.experiment.tensorboard import board_of, introduce
+from airhockey_marl.league.league import League
+from airhockey_marl.self_play.best_response import best_response
+
+
+@command("league_report")
+def main(cfg: DictConfig) -> None:
+    with input_errors():
+        require_counts(cfg, "threads", "every", "rounds", "match_rounds", "save_tables", "std_tables")
+        require_counts(cfg, "seed", "exploit_generations", least=0)
+        require_numbers(cfg, "std_seconds")
+        run = Path(cfg.run)
+        league = League.load(run / "league.safetensors")
+        matches = read_matches(run / "matches.csv") if (run / "matches.csv").is_file() else None
+        check(league, matches)
+        card = read_card(run / "card.json", league.hashes)
+        if cfg.exploit_generations and "config" not in card:
+            raise InputError(f"exploit_generations = {cfg.exploit_generations} needs a finished run: {run} has no card")
+    torch.set_num_threads(cfg.threads)
+    folder, progress = Path(HydraConfig.get().runtime.output_dir), ProgressBar()
+    effort = Effort(cfg.every, cfg.rounds, cfg.match_rounds, cfg.save_tables, cfg.std_tables, cfg.std_seconds)
+    training = OmegaConf.create(card.get("config", {}))
+    ticks = OmegaConf.select(training, "env.decision_ticks", default=DECISION_TICKS)
+    responses = None
+    if cfg.exploit_generations:
+        how_long = (cfg.exploit_generations, cfg.match_rounds)
+        responses = best_response(training, league, len(league) - 1, *how_long, cfg.seed, progress)
+    found = write_report(folder, league, matches, card, effort, cfg.seed, responses, ticks, progress)
+    progress.close()
+    with SummaryWriter(str(board_of(folder))) as writer:
+        introduce(writer, cfg)
+        log_to_tensorboard(writer, folder, found, card.get("steps", found.last))
+    for line in summary(found):
+        print(f"{line.outcome:>4}  {line.question}: {line.observed}")
+    print(f"report: {folder / 'league_report.html'}")
+
+
+def read_card(path: Path, hashes: list[str]) -> dict:
+    """The card beside a league, without its list of hashes; {} if there is none, as while a run is not finished.
+
+    Raises:
+        ValueError: it is not JSON, or of another league.
+    """
+    if not path.is_file():
+        return {}
+    try:
+        card = json.loads(path.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{path} is not JSON: {error}") from error
+    if card.get("hashes") != hashes:
+        raise InputError(f"{path} is the card of another league: its hashes are not those of league.safetensors")
+    return {key: value for key, value in card.items() if key != "hashes"} | {"hash_of_last": hashes[-1]}
+
+
+if __name__ == "__main__":
+    main()

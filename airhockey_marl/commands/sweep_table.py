@@ -1,0 +1,103 @@
+"""Put what a sweep varied beside what came of it: a grid search as a table.
+
+    python -m airhockey_marl.train -m hidden=[32,32],[64,64],[64,64,64] generations=20
+    airhockey meta_train -m hidden=[40,40],[80,80],[80,80,80,80]
+    airhockey sweep_table runs=outputs/meta_train/<date>/<time>-sweep by=after_ua_loss
+
+Reads the card.json of every run below `runs`: the settings that differ between them are one side of the table, the
+scores on the cards the other. Seeds are averaged. Writes grid.csv, a row per run, into its run folder, and prints the
+table.
+"""
+
+import json
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from airhockey_marl.experiment.command import InputError, command, input_errors
+from airhockey_marl.experiment.files import found_below, replacing
+from airhockey_marl.experiment.tensorboard import flat
+
+CARD = "card.json"
+NOT_SETTINGS = ("resume",)  # they say where a run was written, not what it was
+
+
+@command("sweep_table")
+def main(cfg: DictConfig) -> None:
+    with input_errors():
+        cards = read_cards([cfg.runs] if isinstance(cfg.runs, str) else list(cfg.runs))
+        rows, varied, scores = tabulate(cards)
+        if cfg.by is not None and cfg.by not in scores:
+            raise InputError(f"by = {cfg.by} must be one of {', '.join(scores)}")
+    folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
+    with replacing(folder / "grid.csv") as temporary:
+        rows.to_csv(temporary, index=False)
+    print(
+        over_seeds(rows, varied, scores, cfg.by or scores[0]).to_string(index=False, float_format=lambda x: f"{x:.4g}")
+    )
+    print(f"\ntable of all runs: {folder / 'grid.csv'}")
+
+
+def read_cards(places: Iterable[str]) -> dict[Path, dict[str, Any]]:
+    """The card of every finished run at or below the places, by its folder.
+
+    Raises:
+        ValueError: there is none below a place, or one is not a run's card.
+    """
+    cards = {}
+    for file in found_below(places, CARD):
+        try:
+            card = json.loads(file.read_text(encoding="utf-8"))
+        except json.JSONDecodeError as error:
+            raise ValueError(f"{file} is not JSON: {error}") from error
+        if not isinstance(card, dict) or not isinstance(card.get("config"), dict):
+            raise ValueError(f"{file} is not the card of a run: it has no config")
+        cards[file.parent] = card
+    return cards
+
+
+def tabulate(cards: Mapping[Path, Mapping[str, Any]]) -> tuple[pd.DataFrame, list[str], list[str]]:
+    """A row per run, the settings that differ between runs, and the scores.
+
+    Scores are the numbers of a card's tables other than its configuration, and its seconds.
+
+    Raises:
+        ValueError: the cards have no scores.
+    """
+    settings = pd.DataFrame([flat(card["config"]) for card in cards.values()])
+    varied = [name for name in settings if name not in NOT_SETTINGS and settings[name].nunique(dropna=False) > 1]
+    tables = [
+        {
+            name: number
+            for key, table in card.items()
+            if key != "config" and isinstance(table, dict)
+            for name, number in table.items()
+            if isinstance(number, int | float)
+        }
+        | {"seconds": card.get("seconds")}
+        for card in cards.values()
+    ]
+    found = pd.DataFrame(tables)
+    scores = [name for name in found if found[name].notna().any()]
+    if scores in ([], ["seconds"]):
+        raise ValueError("runs: their cards have no scores")
+    runs = pd.Series([str(folder) for folder in cards], name="run")
+    return pd.concat([settings[varied], found[scores], runs], axis=1), varied, scores
+
+
+def over_seeds(rows: pd.DataFrame, varied: list[str], scores: list[str], by: str) -> pd.DataFrame:
+    """Means of the runs that differ in nothing but the seed, from the least `by` to the largest."""
+    groups = [name for name in varied if name != "seed"]
+    if not groups:
+        return rows[[*varied, *scores]].sort_values(by)
+    means = rows.groupby(groups, dropna=False)[scores].mean()
+    means.insert(0, "runs", rows.groupby(groups, dropna=False).size())
+    return means.sort_values(by).reset_index()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,90 @@
+"""The table from above, as pixels."""
+
+from functools import lru_cache
+from typing import NamedTuple
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, Table, X, Y
+from airhockey_marl.experiment.validation import check_arrays, check_counts
+
+# Okabe and Ito's palette: told apart by colour-blind people too.
+FELT, LINE, RIM, GOAL_MOUTH = (245, 246, 248), (170, 190, 205), (70, 78, 88), (255, 255, 255)
+COLOURS = {LEFT: (0, 114, 178), RIGHT: (213, 94, 0), PUCK: (35, 35, 35)}
+SMOOTHING = 3  # drawn so many times larger, then scaled down
+MARGIN = 0.04  # m of rim around the playing field
+
+
+class View(NamedTuple):
+    """Which pixel of a picture, `SMOOTHING` times too large, shows which place of the table.
+
+    Attributes:
+        width: pixels of the finished picture.
+    """
+
+    table: Table
+    width: int
+
+    @property
+    def scale(self) -> float:
+        """Pixels per m."""
+        return SMOOTHING * self.width / (self.table.length + 2 * MARGIN)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height in pixels."""
+        return SMOOTHING * self.width, round((self.table.width + 2 * MARGIN) * self.scale)
+
+    def pixel(self, x: float, y: float) -> tuple[float, float]:
+        """Of a place in m."""
+        return (x + self.table.length / 2 + MARGIN) * self.scale, (self.table.width / 2 + MARGIN - y) * self.scale
+
+    def box(self, x: float, y: float, radius: float, radius_y: float | None = None) -> tuple[float, ...]:
+        """Left, top, right and bottom of a circle, or with `radius_y` of an ellipse, of radii in m."""
+        radius_y = radius if radius_y is None else radius_y
+        return *self.pixel(x - radius, y + radius_y), *self.pixel(x + radius, y - radius_y)
+
+
+@lru_cache(maxsize=4)
+def _empty_table(view: View) -> Image.Image:
+    table = view.table
+    image = Image.new("RGB", view.size, RIM)
+    pen = ImageDraw.Draw(image)
+    pen.rectangle(view.box(0, 0, table.length / 2, table.width / 2), fill=FELT)
+    for end in (-1, 1):
+        inner, outer = sorted((end * table.length / 2, end * (table.length / 2 + MARGIN)))
+        pen.rectangle((*view.pixel(inner, table.goal / 2), *view.pixel(outer, -table.goal / 2)), fill=GOAL_MOUTH)
+        angles = (90, 270) if end > 0 else (270, 90)
+        pen.arc(view.box(end * table.length / 2, 0.0, table.goal), *angles, fill=LINE, width=6)
+    pen.line((view.pixel(0, table.width / 2), view.pixel(0, -table.width / 2)), fill=LINE, width=6)
+    pen.ellipse(view.box(0, 0, 0.15), outline=LINE, width=6)
+    return image
+
+
+def empty_table(view: View) -> Image.Image:
+    """A table without anything on it, `SMOOTHING` times too large, to draw on."""
+    return _empty_table(view).copy()
+
+
+def draw_bodies(pen: ImageDraw.ImageDraw, view: View, bodies: np.ndarray) -> None:
+    """Draw the puck and the paddles, `bodies` (3, 4) or (3, 2); the left seat is blue, the right one orange."""
+    for body in (PUCK, LEFT, RIGHT):
+        radius = view.table.puck_radius if body == PUCK else view.table.paddle_radius
+        pen.ellipse(view.box(bodies[body, X], bodies[body, Y], radius), fill=COLOURS[body])
+        if body != PUCK:  # the handle
+            pen.ellipse(view.box(bodies[body, X], bodies[body, Y], radius / 2), fill=FELT)
+
+
+def draw_table(bodies: np.ndarray, table: Table, width: int = 640) -> np.ndarray:
+    """Draw one table's `bodies` (3, 4); the left seat is blue, the right one orange.
+
+    Returns:
+        (height, width, 3) uint8.
+    """
+    check_arrays(bodies=(bodies, "3 4"))
+    check_counts(width=width)
+    view = View(table, width)
+    image = empty_table(view)
+    draw_bodies(ImageDraw.Draw(image), view, bodies)
+    return np.asarray(image.resize((width, image.height // SMOOTHING), Image.Resampling.BOX))

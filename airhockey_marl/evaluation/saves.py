@@ -1,0 +1,111 @@
+"""How well a player defends: of the shots on its goal, how many it saves.
+
+A shot on goal begins when the attacker touches the puck and the puck would then score if nobody were in its way,
+which the physics itself is asked: the table is copied, its paddles are taken away, and it is played on. The shot ends
+blocked  when the player touches the puck and, asked again, it would no longer score;
+conceded when the goal falls;
+or as none, with a new serve, with a touch of the attacker's that turns it away, or when the time is up. A goal that no
+shot came before, such as a player's own, is none either.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numba import njit
+
+from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TOUCHED_BY, Table, X, Y, tick
+from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, Tables, steps_of
+from airhockey_marl.evaluation.matches import DECISION_TICKS
+from airhockey_marl.experiment.validation import check_counts
+from airhockey_marl.players.players import Player, answer
+
+FORESIGHT = 3.0  # s: a puck that has not scored by then is no shot
+NO_PADDLE = 1e-6  # m, radius of a paddle that is taken away: a table must have two
+
+
+class Saves(NamedTuple):
+    """Shots on a player's goal: those it blocked and those that went in."""
+
+    blocked: int
+    conceded: int
+
+    @property
+    def rate(self) -> float:
+        """Share of the shots that were blocked; not a number without a shot."""
+        return self.blocked / (self.blocked + self.conceded) if self.blocked + self.conceded else float("nan")
+
+
+@njit(cache=True)
+def would_score(bodies, empty):
+    """Whether the puck of one table, `bodies` (3, 4), ends in the left goal within `FORESIGHT` if nobody touches it.
+
+    `empty` is the `Table` with paddles of radius `NO_PADDLE`. They wait in the corners, where no puck gets.
+    """
+    alone = np.zeros((3, 4))
+    alone[PUCK] = bodies[PUCK]
+    for seat in (LEFT, RIGHT):
+        alone[seat, X] = (-0.5 if seat == LEFT else 0.5) * empty.length
+        alone[seat, Y] = 0.5 * empty.width
+    targets = alone[:PUCK, :PUCK].copy()
+    for _ in range(round(FORESIGHT / empty.tick)):
+        goal, _ = tick(alone, targets, empty)
+        if goal != 0:
+            return goal < 0
+    return False
+
+
+@njit(cache=True)
+def record(under_fire, counts, bodies, goals, touched, served, empty):
+    """Enter what one tick brought to n tables.
+
+    Args:
+        under_fire: (n,) bool, a shot is on its way; updated.
+        counts: (2,) shots blocked and conceded, of all tables; updated.
+        bodies, goals, touched, served: the `Tables` after the tick.
+        empty: see `would_score`.
+    """
+    for index in range(len(bodies)):
+        if goals[index] != 0 or served[index]:
+            counts[1] += under_fire[index] and goals[index] < 0
+            under_fire[index] = False
+        elif touched[index] != 0:
+            threat = would_score(bodies[index], empty)
+            by_player, by_attacker = touched[index] & TOUCHED_BY[LEFT], touched[index] & TOUCHED_BY[RIGHT]
+            counts[0] += under_fire[index] and by_player != 0 and not threat
+            under_fire[index] = threat and (under_fire[index] or by_attacker != 0)
+
+
+@torch.no_grad()
+def defence(
+    player: Player,
+    attacker: Player,
+    rounds: int,
+    seed: int,
+    round_seconds: float = 30.0,
+    decision_ticks: int = DECISION_TICKS,
+    table: Table | None = None,
+) -> Saves:
+    """Let `player`, on the left, defend against `attacker`, and count.
+
+    They play at `rounds` tables for `round_seconds` each; after a goal a table begins a new round. Who is to blame is
+    a matter of single ticks, so the tables are stepped tick by tick, each action held for `decision_ticks`.
+    """
+    check_counts(rounds=rounds)
+    tables = Tables(rounds, table)
+    tables.seed(seed)
+    tables.new_rounds()
+    empty = tables.table._replace(paddle_radius=NO_PADDLE)
+    under_fire, counts = np.zeros(rounds, dtype=bool), np.zeros(2, dtype=np.int64)
+    seen = np.empty((2, rounds, OBSERVATION_SIZE), dtype=np.float32)
+    actions = np.empty((rounds, 2, ACTION_SIZE), dtype=np.float32)
+    for _ in range(steps_of(round_seconds, tables.table, decision_ticks)):
+        for seat, chooser in ((LEFT, player), (RIGHT, attacker)):
+            actions[:, seat] = answer(chooser, tables.observe(seat, seen[seat]))
+        for _ in range(decision_ticks):
+            tables.step(actions)
+            record(under_fire, counts, tables.bodies, tables.goals, tables.touched, tables.served, empty)
+            over = tables.goals != 0
+            tables.new_rounds(over)
+            actions[over] = np.nan  # stay until asked again
+    return Saves(*counts.tolist())

@@ -1,0 +1,256 @@
+"""What is known of the runs below `outputs/`: each writes run.json into its folder as it begins and as it ends.
+
+A run that was killed writes nothing any more. That it is over is seen from its process, on the machine that it ran on.
+"""
+
+import json
+import os
+import re
+import socket
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+from typing import Any
+
+from hydra.core.utils import JobReturn, JobStatus
+from hydra.experimental.callback import Callback
+from omegaconf import DictConfig
+
+from airhockey_marl.experiment.command import input_errors
+from airhockey_marl.experiment.files import clear, saying, write_json
+
+RECORD = "run.json"
+STATES = ("running", "done", "failed", "interrupted", "unknown")
+GOES_ON_FROM = ("state.safetensors", "batches")  # what a run leaves that can be resumed
+
+
+@dataclass(frozen=True)
+class Run:
+    """What run.json says of a run, and where it lies.
+
+    Attributes:
+        folder: of the run.
+        command: the name of its yaml.
+        overrides: what was set on the command line.
+        status: running, done or failed, as it was written; see `state`.
+        host, pid, birth: of its process, see `birth_of`.
+        started, seconds: Unix time, and how long it took; None while it runs.
+        error: why it failed, in one line.
+    """
+
+    folder: Path
+    command: str
+    overrides: list[str] = field(default_factory=list)
+    status: str = "unknown"
+    host: str = ""
+    pid: int = 0
+    birth: str = ""
+    started: float = 0.0
+    seconds: float | None = None
+    error: str = ""
+
+    @property
+    def state(self) -> str:
+        """One of `STATES`: a run that says it is running is interrupted if its process is gone from this machine.
+
+        On another machine nobody can tell from here, so it is taken at its word.
+        """
+        gone = self.host == socket.gethostname() and birth_of(self.pid) != self.birth
+        return "interrupted" if self.status == "running" and gone else self.status
+
+    @property
+    def resumable(self) -> bool:
+        """Whether it has left something to go on from."""
+        return any((self.folder / name).exists() for name in GOES_ON_FROM)
+
+    def write(self) -> None:
+        """Write run.json, whole."""
+        write_json(self.folder / RECORD, {key: value for key, value in asdict(self).items() if key != "folder"})
+
+
+def birth_of(pid: int) -> str:
+    """When a process began, in a form that no later process of the same number has; "" if there is none.
+
+    Where the system does not tell (there is no /proc), all living processes are born "alive".
+    """
+    if pid <= 0:
+        return ""
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return ""
+    except PermissionError:
+        pass  # somebody else's, but there
+    try:
+        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
+        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
+    except FileNotFoundError:
+        return "" if Path("/proc/self/stat").exists() else "alive"
+    return "" if fields[0] == "Z" else f"{boot} {fields[19]}"  # clock ticks from the boot to its start
+
+
+def read_run(folder: Path) -> Run:
+    """The run of a folder; of unknown state where its run.json is absent or not what `Run.write` writes."""
+    try:
+        facts: Any = json.loads((folder / RECORD).read_text(encoding="utf-8"))
+        run = Run(folder, **facts)
+        sound = run.status in STATES and isinstance(run.pid, int) and isinstance(run.overrides, list)
+        sound &= isinstance(run.started, int | float) and isinstance(run.seconds, int | float | None)
+    except (OSError, ValueError, TypeError):
+        sound = False
+    return run if sound else Run(folder, "")
+
+
+def runs_below(outputs: Path) -> list[Run]:
+    """Every run below a folder, by its .hydra/ or its run.json; what links lead to is not looked at."""
+    found = []
+    for place, folders, files in os.walk(outputs, followlinks=False):
+        folder = Path(place)
+        if RECORD in files or (".hydra" in folders and (folder / ".hydra" / "config.yaml").is_file()):
+            run = read_run(folder)
+            found.append(run if run.command else Run(folder, _command_of(folder)))
+        folders[:] = sorted(name for name in folders if not name.startswith("."))
+    return found
+
+
+def _command_of(folder: Path) -> str:
+    """What Hydra wrote down of a run that is older than run.json."""
+    name = re.search(r"(?m)^    config_name: (\w+)$", _beginning(folder / ".hydra" / "hydra.yaml"))
+    return name.group(1) if name else "?"
+
+
+def _beginning(file: Path) -> str:
+    """A file's first megabyte, or nothing: of a folder of anybody's, where yaml could be without end."""
+    try:
+        with file.open(encoding="utf-8", errors="replace") as handle:
+            return handle.read(1_000_000)
+    except OSError:
+        return ""
+
+
+class Record(Callback):
+    """Hydra tells it of each job's beginning and end, in the job's own process; it writes run.json.
+
+    A run is refused where it would write over another one's files, before Hydra writes its own.
+
+    A run that goes on with an earlier one (`resume`) speaks for that one's folder as well. A command that keeps nothing
+    of what was typed (`hydra.output_subdir: null`, as for a session with a person) is not written down.
+    """
+
+    def on_run_start(self, config: DictConfig, **_: Any) -> None:
+        """Refuse the folder of a run that there is something to lose of; one that goes on keeps its log elsewhere."""
+        if config.hydra.output_subdir is not None:
+            _require_free(Path(config.hydra.run.dir), "hydra.run.dir")
+
+    def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
+        """Likewise for a sweep's jobs; and make its folder, which stands above a search's database."""
+        sweep = Path(config.hydra.sweep.dir)
+        for job in sorted(sweep.glob("*")):  # what a job's folder is called is known, if not how many there will be
+            if job.name.isdecimal():
+                _require_free(job, "hydra.sweep.dir")
+        sweep.mkdir(parents=True, exist_ok=True)
+
+    def on_job_start(self, config: DictConfig, **_: Any) -> None:
+        """Write that the job is running."""
+        pid = os.getpid()
+        place = {"host": socket.gethostname(), "pid": pid, "birth": birth_of(pid)}
+        job = config.hydra.job.config_name, list(config.hydra.overrides.task)
+        folders = _folders(config) if config.hydra.output_subdir is not None else []
+        self._runs = [Run(folder, *job, "running", **place, started=time.time()) for folder in folders]
+        for run in self._runs:
+            run.write()
+
+    def on_job_end(self, config: DictConfig, job_return: JobReturn, **_: Any) -> None:
+        """Write how it ended."""
+        failed = job_return.status == JobStatus.FAILED
+        error = " ".join(str(job_return._return_value).split()) if failed else ""
+        end = {"status": "failed" if failed else "done", "error": error}
+        for run in self._runs:
+            Run(**vars(run) | end | {"seconds": round(time.time() - run.started, 1)}).write()
+
+
+def what_is_lost(folder: Path) -> str | None:
+    """What a run would write over in this folder, in words; None if there is nothing to lose.
+
+    A run that failed or was interrupted before it could be resumed has left nothing that anybody could use; and one of
+    which there is only a log, as where it went on with another, nothing at all.
+    """
+    run = read_run(folder)
+    if run.resumable:
+        return f"a run that can be gone on with: resume={folder}"
+    if run.state == "running":
+        return "a run that is running"
+    if run.state in ("failed", "interrupted") or not (folder / ".hydra").is_dir():
+        return None
+    kept = [path.name for path in folder.iterdir() if not path.name.startswith(".") and path.suffix != ".log"]
+    kept = sorted({*kept} - {RECORD})
+    return f"a run that has left {', '.join(kept[:3])}" if kept else None
+
+
+def _require_free(folder: Path, key: str) -> None:
+    """Refuse a folder by the one exception that Hydra lets a callback raise; `cli.command` says it in one line."""
+    if lost := what_is_lost(folder):
+        print(f"{key}: {folder} holds {lost}; a run must have a folder of its own", file=sys.stderr)
+        sys.exit(2)
+
+
+def _folders(config: DictConfig) -> list[Path]:
+    own, resumed = Path(config.hydra.runtime.output_dir), config.get("resume")
+    is_run = isinstance(resumed, str) and (Path(resumed) / ".hydra" / "config.yaml").is_file()
+    return [own, Path(resumed)] if is_run else [own]
+
+
+try:
+    import fcntl
+except ImportError:  # not a POSIX system: there, nobody is kept out
+    fcntl = None
+
+
+def take(folder: Path, name: str) -> int:
+    """The handle of a folder's lock, which this process now holds; to close it gives the folder free.
+
+    Args:
+        folder: it must exist.
+        name: of the folder, for the person whom it is refused to.
+
+    Raises:
+        ValueError: another process has it; says which.
+        OSError: the folder cannot be written to.
+    """
+    handle = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o644)
+    try:
+        if fcntl is not None:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        holder = os.pread(handle, 32, 0).decode("ascii", "replace").strip()
+        os.close(handle)
+        raise ValueError(
+            f"{name} = {folder} is in use by process {holder or 'unknown'}; one at a time can have it"
+        ) from None
+    try:
+        os.ftruncate(handle, 0)
+        os.write(handle, f"{os.getpid()}\n".encode("ascii"))
+    except OSError:  # the disk is full: the lock holds, and the number is a courtesy
+        pass
+    return handle
+
+
+@contextmanager
+def locked(folder: Path, name: str) -> Iterator[None]:
+    """Have a run folder for oneself, without what a killed process has left in it half written.
+
+    Raises:
+        InputError: another process has it.
+        OSError: it cannot be written to; the message names it.
+    """
+    with input_errors(), saying(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        handle = take(folder, name)
+    try:
+        clear(folder)
+        yield
+    finally:
+        os.close(handle)

@@ -1,0 +1,122 @@
+"""Set what may be set before a study, from unguided play of the nine training users and nothing else.
+
+    airhockey calibrate
+
+The opponent: the newest generation against which the nine win 35 to 55 % of their rounds, which last 12 to 25 s.
+T_low and T_high of UT (Eq. 5): so that the mean W_unc in that play is the paper's (section 6.1).
+K of Eq. 4, for T_lookahead: the largest that leaves the hands of 95 % of the nine damped. The state holds one's own
+paddle, so UPHG's target moves ahead of the hand by a lead L that grows with T_lookahead, and its spring pushes along
+the motion by K L v: negative damping. Stable is K L <= 0.8 (B + b), B the damping of the relaxed arm, b the device's.
+
+Writes calibration.yaml, the values and what they rest on, into its run folder. A value takes effect when it is copied
+into conf/: calibration never changes a study by itself.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.experiment.building import build
+from airhockey_marl.experiment.command import (
+    InputError,
+    ProgressBar,
+    command,
+    input_errors,
+    require_counts,
+    require_numbers,
+)
+from airhockey_marl.experiment.files import write_text
+from airhockey_marl.league.league import League
+from airhockey_marl.players.inference import steady
+from guidance.simulated_users import Users, load_mentors, training_people
+from guidance.simulated_users.force_response import check_variant
+from guidance.study.calibration import fitting_opponent, leads_of, optimal_wins, predicted_std, stiffest, threshold
+from guidance.study.games import Games, no_force, play_games
+from guidance.study.protocol import streams
+from guidance.study.provenance import chosen_models
+
+OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has the number of its condition
+
+
+@command("calibrate")
+def main(cfg: DictConfig) -> None:
+    with input_errors():
+        require_counts(cfg, "threads", "every")
+        check_variant(cfg.users.variant)
+        require_counts(cfg, "games", least=2)  # UA from one, uncertainty in the others
+        require_counts(cfg, "seed", least=0)
+        require_numbers(cfg, "w_unc.optimal", "w_unc.user", "low_over_high", at_most=0.999)
+        require_numbers(cfg, "stability.rule.share", "stability.rule.of_people", at_most=1.0)
+        require_numbers(cfg, "stability.rule.step")
+        require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
+        if not all(isinstance(seconds, float) and 0 <= seconds <= 1 for seconds in cfg.stability.lookaheads):
+            raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers from 0 to 1")
+        people = training_people(cfg.seed, build(cfg.users.population))
+        mentors = load_mentors(cfg.users.mentors)
+        protocol = build(cfg.study, familiarisation=0)
+        models = chosen_models(cfg)
+        league = League.load(cfg.models.opponents)
+        if cfg.opponent is not None:
+            league.generation(cfg.opponent)
+    torch.set_num_threads(cfg.threads)
+    progress = ProgressBar()
+
+    def play(generation: int, trial: int, demonstrations: bool = False) -> Games:
+        """Each of the nine plays `games` games: rows are person by person."""
+        keys = [
+            [streams(cfg.seed, [u], trial + g, p) for u in range(len(people)) for g in range(cfg.games)] for p in (0, 1)
+        ]
+        minds, serves = (np.concatenate(part) for part in keys)
+        seated = Users(np.repeat(people, cfg.games), minds, Table(), cfg.users.variant, mentors)
+        opponent = steady(league.player(generation))
+        return play_games(seated, opponent, no_force, protocol, Table(), serves, demonstrations)
+
+    trials = {}
+    candidates = [cfg.opponent] if cfg.opponent is not None else range(0, len(league), cfg.every)
+    for i, generation in enumerate(candidates):
+        games = play(generation, OPPONENT_TRIAL)
+        trials[generation] = {
+            "win_rate": round(float(np.nanmean(games.results["win_rate"])), 3),
+            "round_seconds": round(float(games.seconds.sum() / games.rounds.sum()), 1),
+        }
+        progress("opponents", (i + 1) / len(candidates))
+    opponent = cfg.opponent if cfg.opponent is not None else fitting_opponent(trials, cfg.win_rate, cfg.round_seconds)
+
+    progress("thresholds", 0.0)
+    states = play(opponent, THRESHOLD_TRIAL, demonstrations=True).demonstrations
+    thresholds = {
+        name: threshold(std, cfg.w_unc[name], cfg.low_over_high)
+        for name, std in predicted_std(models, states, cfg.games, cfg.guidance.lookahead).items()
+    }
+    progress("thresholds", 1.0)
+    progress.close()
+    leads = {
+        seconds: leads_of(models, states, cfg.games, seconds)
+        for seconds in sorted({*cfg.stability.lookaheads, cfg.guidance.lookahead})
+    }
+    damping = people["stiffness"] * people["damping_time"] + people["device_damping"]
+    stable = {
+        seconds: {
+            "lead": round(float(lead.mean()), 4),
+            "stiffness": stiffest(lead, damping, **cfg.stability.rule),
+            "optimal_wins": round(optimal_wins(models, steady(league.player(opponent)), seconds, cfg.seed), 3),
+        }
+        for seconds, lead in leads.items()
+    }
+    found = {
+        "opponent": opponent,
+        "stiffness": stable[cfg.guidance.lookahead]["stiffness"],
+        "thresholds": thresholds,
+        "evidence": {"opponents": trials, "stable": stable, "models": models.hashes},
+    }
+    text = OmegaConf.to_yaml(OmegaConf.create(found))
+    write_text(Path(HydraConfig.get().runtime.output_dir) / "calibration.yaml", text)
+    print(text)
+
+
+if __name__ == "__main__":
+    main()

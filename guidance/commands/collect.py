@@ -1,0 +1,119 @@
+"""Collect the paper's data set: what simulated people do in games without guidance, tick by tick (section 3.2.3).
+
+    airhockey collect                         nine training users, 40 K ticks each
+    airhockey collect people=study            20 people of a study instead
+    airhockey collect +preset=smoke           seconds, to see that it runs
+
+Writes into its run folder:
+
+    demonstrations/          memory-mapped TensorDict (users, games, ticks): observation (12), action (2), user, game
+    demonstrations.parquet   the same, a row per tick, a name and a unit for each column, a row group per user
+    people.csv               a row per user: archetype, skill, and every other parameter of the simulated person
+    card.json                what all this is, the SHA-256 of each file, and how to open it; written last
+
+`guidance.user_model.dataset.load` reads the folder back. The same seed gives the same bytes in every file but the card.
+"""
+
+import time
+from functools import partial
+from pathlib import Path
+
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.experiment.building import build
+from airhockey_marl.experiment.command import InputError, ProgressBar, command, input_errors, require_counts
+from airhockey_marl.experiment.files import replacing, sha256, write_json
+from airhockey_marl.league.league import League
+from airhockey_marl.players.inference import steady
+from guidance.simulated_users import Population, load_mentors, sample_people, training_people
+from guidance.simulated_users.force_response import Variant
+from guidance.study import demonstrations
+from guidance.user_model.data import Demonstrations
+from guidance.user_model.dataset import (
+    ABOUT,
+    CARD,
+    COLUMNS,
+    FRAME,
+    PEOPLE,
+    ROWS,
+    TENSORS,
+    people_table,
+    summary,
+    write_rows,
+    write_tensors,
+)
+
+
+def check(cfg: DictConfig) -> None:
+    """Refuse what cannot run.
+
+    Raises:
+        InputError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "threads", "participants", "demonstrations.games", "demonstrations.ticks")
+    require_counts(cfg, "seed", "opponent", least=0)
+    if cfg.people not in ("training", "study"):
+        raise InputError(f"people = {cfg.people} must be training or study")
+    if cfg.users.variant not in Variant.__members__:
+        raise InputError(f"users.variant = {cfg.users.variant} must be one of {', '.join(Variant.__members__)}")
+
+
+@command("collect")
+def main(cfg: DictConfig) -> None:
+    folder, began = Path(HydraConfig.get().runtime.output_dir), time.perf_counter()
+    with input_errors():
+        check(cfg)
+        league = League.load(cfg.models.opponents)
+        if cfg.opponent >= len(league):
+            raise InputError(f"opponent = {cfg.opponent} must be a generation of the league, 0 to {len(league) - 1}")
+        if (folder / TENSORS).exists():
+            raise InputError(f"hydra.run.dir = {folder} must be a folder without {TENSORS}/: data are not replaced")
+        population: Population = build(cfg.users.population)
+        draw = training_people if cfg.people == "training" else partial(sample_people, cfg.participants)
+        people, mentors = draw(cfg.seed, population), load_mentors(cfg.users.mentors)
+    torch.set_num_threads(cfg.threads)
+    progress, table, sizes = ProgressBar(), Table(), (cfg.demonstrations.games, cfg.demonstrations.ticks)
+    told, opponent = partial(progress, f"{len(people)} people play"), steady(league.player(cfg.opponent))
+    data = demonstrations.collect(people, opponent, *sizes, table, cfg.users.variant, mentors, cfg.seed, told)
+    progress.close()
+    who = people_table(people, list(population.archetypes))
+    write_tensors(folder / TENSORS, data)
+    write_rows(folder / ROWS, data, who["archetype"], table)
+    with replacing(folder / PEOPLE) as temporary:
+        who.to_csv(temporary, index=False)
+    users = who[["user", "archetype"]].join(summary(data, table).round(4)).to_dict("records")
+    write_json(folder / CARD, card(cfg, folder, data, users, time.perf_counter() - began))
+    print(f"{data.action.shape[:3].numel()} ticks of {len(people)} simulated people: {folder}")
+
+
+def card(cfg: DictConfig, folder: Path, data: Demonstrations, users: list[dict], seconds: float) -> dict:
+    """The data card: what the files hold, where they come from, how to open them."""
+    files = [*sorted((folder / TENSORS).iterdir()), folder / ROWS, folder / PEOPLE]
+    return {
+        "data": ABOUT,
+        "command": " ".join(["airhockey collect", *HydraConfig.get().overrides.task]),
+        "date": time.strftime("%Y-%m-%d"),
+        "seed": cfg.seed,
+        "seconds": round(seconds, 1),
+        "opponent_generation": cfg.opponent,
+        "opponents_sha256": sha256(cfg.models.opponents),
+        **dict(zip(("users", "games", "ticks"), data.action.shape[:3], strict=True)),
+        "tick_s": Table().tick,
+        "open": [
+            f"import pandas; rows = pandas.read_parquet('{ROWS}')",
+            f"from tensordict import TensorDict; tensors = TensorDict.load_memmap('{TENSORS}')",
+        ],
+        "tensors": "observation holds the columns own_x to puck_vy, action action_x and action_y",
+        "frame": FRAME,
+        "columns": {name: {"unit": unit, "meaning": what} for name, (_, unit, what) in COLUMNS.items()},
+        "sha256": {str(file.relative_to(folder)): sha256(file) for file in files},
+        "on_each_user": users,
+        "config": OmegaConf.to_container(cfg),
+    }
+
+
+if __name__ == "__main__":
+    main()

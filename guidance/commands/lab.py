@@ -1,0 +1,218 @@
+"""The paper's experiment for a real person: consent, practice, a game for UA, nine conditions, ratings, rests.
+
+    airhockey lab participant=new                    somebody new, under a random label
+    airhockey lab participant=P01                    P01, from where their session stopped
+    airhockey lab participant=P01 device=mouse       without a haptic device
+    airhockey lab participant=P01 withdraw=true      delete everything of P01
+    airhockey lab participant=S1 device=simulated window=false    a simulated person takes the seat
+    airhockey report runs=outputs/lab/records        the study so far, analysed as any other
+
+The games are those of `guidance.evaluate`, in the same order and under the same forces; the seat is another. Records
+are a folder of their own (`records=`), in the manner of BIDS: what is finished is never lost, see `guidance.sessions.bids`.
+"""
+
+import hashlib
+import json
+from contextlib import ExitStack, suppress
+from pathlib import Path
+
+import numpy as np
+import torch
+from omegaconf import DictConfig, OmegaConf
+
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.experiment.building import build
+from airhockey_marl.experiment.command import InputError, command, input_errors, require_counts, require_numbers
+from guidance.display.pages import Items, Page
+from guidance.display.window import NARROWEST, Window
+from guidance.haptics.clock import HurriedClock, WallClock
+from guidance.haptics.open_device import at_the_device, check_device
+from guidance.haptics.seat import Dark, Leave, Seat, leaving_when_told
+from guidance.sessions.bids import Participant, Records
+from guidance.sessions.lsl import open_streams
+from guidance.sessions.recording import load_json
+from guidance.sessions.session import SKIP, Nobody, Plan, Session
+from guidance.simulated_users import Users, load_mentors, sample_people
+from guidance.simulated_users.force_response import check_variant
+from guidance.simulated_users.ratings import RATINGS
+from guidance.study.models import Models
+from guidance.study.protocol import NO_CONDITION, streams
+from guidance.study.provenance import chosen_conditions, chosen_models, chosen_opponent, hashes_of, manifest
+
+KEYS = {
+    "space": "pause",
+    "h": "these keys",
+    "f": "full screen",
+    "r": "after a safety stop: feel forces again",
+    "esc": "leave; what is finished is kept, and the session goes on from there another time",
+}
+NEW = "new"
+OF_A_SESSION = ("participant", "withdraw", "records", "window", "fullscreen", "width", "lsl")  # and not of the study
+
+
+class Sitter:
+    """A simulated person in the laboratory: who reads everything, and answers as simulated people do.
+
+    Args:
+        person: (1,) see `guidance.simulated_users`.
+        place: theirs in the study.
+    """
+
+    def __init__(self, cfg: DictConfig, person: np.ndarray, place: int) -> None:
+        self.cfg, self.person, self.place, self.mentors = cfg, person, place, load_mentors(cfg.users.mentors)
+        self.users = self._in_game(NO_CONDITION)
+
+    def _in_game(self, game: int) -> Users:
+        """As the study has them in this game."""
+        mind = streams(self.cfg.seed, [self.place], game, 0)
+        return Users(self.person, mind, Table(), self.cfg.users.variant, self.mentors)
+
+    def sit_down(self, seat: Seat, game: int) -> None:
+        """Take the seat for a game."""
+        self.users = seat.person = seat.hand.device.users = self._in_game(game)
+
+    def page(self, page: Page) -> str:
+        return SKIP if SKIP in page.keys else next(iter(page.keys))
+
+    def ask(self, items: Items) -> dict[str, int]:
+        ratings = self.users.ratings(OmegaConf.to_container(self.cfg.users.scales))
+        return {name: int(ratings[name][0]) for name in RATINGS}
+
+    def write_down(self, page: Page) -> str:
+        return ""
+
+
+def check(cfg: DictConfig) -> None:
+    """Refuse what no session can be held with.
+
+    Raises:
+        InputError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "participants", "threads", "frames_per_second")
+    require_counts(cfg, "width", least=NARROWEST)
+    require_counts(cfg, "seed", least=0)
+    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
+    require_numbers(cfg, "breath", least=0.0, at_most=10.0)
+    check_device(cfg.device)
+    check_variant(cfg.users.variant)
+    for key in ("withdraw", "window", "fullscreen", "interview", "lsl"):
+        if not isinstance(cfg[key], bool):
+            raise InputError(f"{key} = {cfg[key]} must be true or false")
+    if not cfg.window and cfg.device.kind != "simulated":
+        raise InputError(f"window = false must be true for device = {cfg.device.kind}: somebody looks at it")
+
+
+def facts_of(cfg: DictConfig, models: Models, plan: Plan) -> dict:
+    """The manifest of the study; two with other devices, limits, questions or kinds of people are not the same one."""
+    facts = manifest(cfg, hashes_of(cfg, models), "", 0.0)
+    who = "simulated" if cfg.device.kind == "simulated" else "people"
+    how = [facts["study_hash"], OmegaConf.to_container(cfg.device), OmegaConf.to_container(cfg.safety), who]
+    how += [dict(plan.questions), list(plan.scale), cfg.breath, plan.consent, list(map(repr, plan.conditions))]
+    digest = hashlib.sha256(json.dumps(how, sort_keys=True).encode()).hexdigest()
+    # whose session it was is none of the study's business: they may withdraw
+    config = {key: value for key, value in facts["config"].items() if key not in OF_A_SESSION}
+    return facts | {"study_hash": digest, "participants": who, "command": "airhockey lab", "config": config}
+
+
+def plan_of(cfg: DictConfig, models: Models) -> Plan:
+    """What the configuration has everybody do.
+
+    Raises:
+        ValueError: something in it is not valid, or a file is missing.
+    """
+    consent = Path(cfg.consent)
+    if not consent.is_file():
+        raise ValueError(f"consent = {consent} must be a file with a text")
+    return Plan(
+        conditions=chosen_conditions(cfg),
+        models=models,
+        opponent=chosen_opponent(cfg),
+        opponent_label=f"generation {cfg.opponent}",
+        protocol=build(cfg.study),
+        lookahead_seconds=cfg.guidance.lookahead,
+        participants=cfg.participants,
+        seed=cfg.seed,
+        consent=consent.read_text(encoding="utf-8"),
+        questions=OmegaConf.to_container(cfg.questions),
+        scale=tuple(cfg.scale),
+        interview=cfg.interview,
+        device=cfg.device.kind,
+    )
+
+
+@command("lab")
+def main(cfg: DictConfig) -> None:
+    with input_errors():
+        check(cfg)
+    if cfg.withdraw:
+        withdraw(Path(cfg.records), str(cfg.participant))
+        return
+    with input_errors():
+        models = chosen_models(cfg)
+        plan, limits = plan_of(cfg, models), build(cfg.safety)
+        people = sample_people(cfg.participants, cfg.seed, build(cfg.users.population))
+        facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else Nobody()
+    torch.set_num_threads(cfg.threads)
+    clock = WallClock() if cfg.window else HurriedClock()
+    with ExitStack() as room:
+        window = held = sitter = None
+        if cfg.window:
+            how = cfg.width, cfg.frames_per_second, clock, KEYS
+            window = room.enter_context(Window("Air hockey", Table(), *how, shows_force=False))
+        if cfg.device.kind != "simulated":  # nobody is enrolled, and no study begun, before there is something to hold
+            held = room.enter_context(at_the_device(cfg.device, limits))
+        with input_errors():
+            records = room.enter_context(Records(cfg.records, facts))
+        participant = enrolled(records, cfg)
+        if held is None:
+            sitter = Sitter(cfg, people[participant.place : participant.place + 1], participant.place)
+            held = room.enter_context(at_the_device(cfg.device, limits, sitter.users))
+        seat = Seat(held.hand, window or Dark(), clock, Table().tick, cfg.breath if cfg.window else 0.0)
+        if window is not None:
+            window.pointed, window.unplugged = held.pointed, held.unplugged
+            if cfg.fullscreen:
+                window.toggle_fullscreen()
+        seated = (lambda game: sitter.sit_down(seat, game)) if sitter else (lambda game: None)
+        with suppress(Leave), leaving_when_told():
+            Session(plan, participant, seat, window or sitter, events, seated).run()
+        if participant.consent is None:
+            records.withdraw(participant.label, counted=False)
+            print(f"{participant.label} does not take part; nothing of theirs is kept")
+            return
+    done = sum(game.ratings is not None for game in participant.games.values())
+    again = "" if done == len(plan.conditions) else f" It goes on with participant={participant.label}."
+    print(f"{participant.label}: {done} of {len(plan.conditions)} games are played and rated.{again}")
+    print(f"\nrecords: {records.folder}")
+
+
+def withdraw(folder: Path, label: str) -> None:
+    """Delete everything of a person, whatever the study's configuration is.
+
+    Raises:
+        InputError: there are no records, or nobody of this label.
+    """
+    with input_errors():
+        if not (folder / "manifest.json").is_file():
+            raise InputError(f"records = {folder} holds no study")
+        with Records(folder, load_json(folder / "manifest.json")) as records:
+            records.withdraw(label)
+    print(f"{label} has withdrawn: everything of theirs in {folder} is deleted")
+
+
+def enrolled(records: Records, cfg: DictConfig) -> Participant:
+    """The participant that the configuration names, or a new one.
+
+    Raises:
+        InputError: a label that is not one, or all places are taken.
+    """
+    with input_errors():
+        label = None if cfg.participant == NEW else str(cfg.participant)
+        if label not in records.places and len(records.places) >= cfg.participants:
+            raise InputError(f"participants = {cfg.participants}: all places are taken")
+        participant = records.participant(label)
+    print(f"participant {participant.label}, place {participant.place + 1} of {cfg.participants}")
+    return participant
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,211 @@
+"""Train the user prediction models: one meta-learned for user adaptation, one for people in general (section 3.2.3).
+
+    airhockey meta_train                      the paper's schedule, on nine simulated users
+    airhockey meta_train +preset=smoke        seconds, to see that it runs
+    airhockey meta_train resume=outputs/...   go on with a run that was stopped, as if it had not been
+    tensorboard --logdir outputs                       watch
+
+Writes into its run folder: meta.safetensors, user.safetensors, card.json (what they are, how well they predict people
+they have not seen), tensorboard/, and after each epoch state.safetensors, from which `resume` goes on.
+"""
+
+import shutil
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig, OmegaConf
+from torch import nn
+from tqdm import tqdm
+
+from airhockey_marl.algorithms.divergence import stopping
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.experiment.building import build
+from airhockey_marl.experiment.checkpoint import Checkpoint
+from airhockey_marl.experiment.command import (
+    InputError,
+    ProgressBar,
+    command,
+    config_of,
+    input_errors,
+    require_counts,
+    require_device,
+    require_numbers,
+)
+from airhockey_marl.experiment.files import sha256, write_json
+from airhockey_marl.experiment.run_folder import locked
+from airhockey_marl.experiment.tensorboard import board_of, conclude, introduce, open_board
+from airhockey_marl.players.networks import GaussianPolicy
+from guidance.simulated_users import Mentors, Population, load_mentors, sample_people, training_people
+from guidance.simulated_users.force_response import check_variant
+from guidance.study.demonstrations import collect
+from guidance.study.models import save_user_model
+from guidance.study.provenance import chosen_opponent
+from guidance.user_model.data import Demonstrations
+from guidance.user_model.evaluation import judge, predictors
+from guidance.user_model.rounds import action_ahead
+from guidance.user_model.training import train_maml, train_supervised
+
+STATE = "state.safetensors"
+JUDGE = "after_ua_loss"  # of the scores
+COMPILERS = ("g++", "clang++")  # that torch.compile looks for
+HELD_OUT_SEED = 1_000_003  # the card's people: neither the training users nor those of a study with a small seed
+
+
+def check(cfg: DictConfig) -> None:
+    """Refuse what cannot run.
+
+    Raises:
+        InputError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "threads", "maml.epochs", "maml.block", "supervised.epochs", "supervised.batch_size")
+    require_counts(cfg, "seed", least=0)
+    require_device(cfg)
+    require_counts(cfg, "demonstrations.games", least=2)  # one to adapt to and one to validate on
+    require_counts(cfg, "demonstrations.ticks", least=cfg.maml.block)
+    require_numbers(cfg, "ahead", least=0.0, at_most=1.0)
+    require_numbers(cfg, "maml.inner_lr", "maml.lr", "maml.max_norm", "supervised.lr")
+    if cfg.maml.compiled and not any(map(shutil.which, COMPILERS)):
+        raise InputError(f"maml.compiled = true needs a C++ compiler, one of {', '.join(COMPILERS)}, and finds none")
+
+
+@command("meta_train")
+def main(cfg: DictConfig) -> float:
+    """Train both; for a sweeper, the loss of Eq. 3 after UA on people that the model has not seen."""
+    with input_errors():
+        if cfg.resume is not None:
+            cfg = config_of(Path(cfg.resume), STATE, cfg)
+        check(cfg)
+        check_variant(cfg.users.variant)
+        population: Population = build(cfg.users.population)
+        mentors = load_mentors(cfg.users.mentors)
+        opponent = chosen_opponent(cfg)
+        torch.manual_seed(cfg.seed)
+        meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
+    torch.set_num_threads(cfg.threads)
+    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
+
+    with locked(folder, "run"):
+        return run(cfg, folder, population, mentors, opponent, meta, user)
+
+
+def run(
+    cfg: DictConfig,
+    folder: Path,
+    population: Population,
+    mentors: Mentors,
+    opponent: nn.Module,
+    meta: nn.Module,
+    user: nn.Module,
+) -> float:
+    """Have people play, train both models on it, and write them down with how they predict others.
+
+    Returns:
+        The score by which they are judged.
+    """
+    progress = ProgressBar()
+
+    def play(people: np.ndarray, seed: int, what: str) -> Demonstrations:
+        told = partial(progress, what)
+        how = {"table": Table(), "variant": cfg.users.variant, "mentors": mentors, "seed": seed}
+        return collect(people, opponent, **cfg.demonstrations, **how, progress=told)
+
+    data = play(training_people(cfg.seed, population), cfg.seed, "nine people play")
+    data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, Table()))
+    progress.close()
+    seconds = train_both(cfg, folder, meta.to(cfg.device), user.to(cfg.device), data.to(cfg.device))
+    meta.cpu(), user.cpu()
+    strangers = sample_people(len(data.action), HELD_OUT_SEED, population)
+    scores = prediction_scores(
+        meta, user, play(strangers, HELD_OUT_SEED, "nine others play"), cfg.maml.inner_lr, cfg.ahead
+    )
+    progress.close()
+    facts = {"seed": cfg.seed, "ahead_s": cfg.ahead}
+    save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
+    save_user_model(folder / "user.safetensors", user, facts)
+    write_json(folder / "card.json", card(cfg, scores, seconds))
+    conclude(folder, cfg, scores)
+    return scores[JUDGE]
+
+
+def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, data: Demonstrations) -> float:
+    """Train the meta-learned model, then the one for people in general, both in place; resume if `cfg` says so.
+
+    The state is written after each epoch, so that a run that was stopped ends like one that was not.
+
+    Returns:
+        The seconds it took, before it was resumed and after.
+    """
+    models = {"maml": meta, "supervised": user}
+    optimizers = {name: torch.optim.Adam(model.parameters(), cfg[name].lr) for name, model in models.items()}
+    parts = {**models, **{f"{name}_optimizer": optimizer for name, optimizer in optimizers.items()}}
+    checkpoint = Checkpoint(parts, np.random.default_rng(cfg.seed), [])
+    done, seconds = dict.fromkeys(models, 0), 0.0
+    if cfg.resume is not None:
+        with input_errors():
+            facts = checkpoint.load(folder / STATE, {"done": dict, "seconds": float})
+        done, seconds = facts["done"], facts["seconds"]
+    began = time.perf_counter() - seconds
+    for name, train in (("maml", train_maml), ("supervised", train_supervised)):
+        # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
+        board = open_board(board_of(folder) / name, done[name] + 1)
+        if name == "maml" and not done[name]:
+            introduce(board, cfg)
+        training = train(models[name], data, **cfg[name], optimizer=optimizers[name], done=done[name])
+        bar = tqdm(training, name, cfg[name].epochs, initial=done[name], unit="epoch", file=sys.stderr, disable=None)
+        with stopping(f"{name} training", folder / STATE):
+            for metrics in bar:
+                epoch = metrics.pop("epoch")
+                for key, value in metrics.items():
+                    board.add_scalar(f"{name}/{key}", value, epoch)
+                board.flush()
+                bar.set_postfix({key: f"{value:.3f}" for key, value in metrics.items()})
+                done[name], seconds = epoch, time.perf_counter() - began
+                checkpoint.save(folder / STATE, {"done": done, "seconds": seconds})
+        board.close()
+    return seconds
+
+
+@torch.no_grad()
+def prediction_scores(
+    meta: nn.Module, user: nn.Module, data: Demonstrations, inner_lr: float, ahead: float = 0.0
+) -> dict[str, float]:
+    """How people are predicted whom the models were not trained on: their last games, after UA with their first.
+
+    Returns:
+        Per predictor, as in `prediction.predictors`, the loss of Eq. 3 and the root mean square error in units of
+        action, averaged over people. `airhockey prediction_report` says more.
+    """
+    found: dict[str, list[dict[str, float]]] = {}
+    for observation, action in zip(data.observation, data.action, strict=True):
+        everybody = predictors(user, meta, inner_lr, observation[0], action[0], Table(), ahead)
+        for name, predictor in everybody.items():
+            found.setdefault(name, []).append(judge(predictor, observation[-1], action[-1], ahead, Table()))
+    return {
+        f"{name}_{measure}": float(np.mean([person[measure] for person in people]))
+        for name, people in found.items()
+        for measure in ("loss", "rmse")
+    }
+
+
+def card(cfg: DictConfig, scores: dict[str, float], seconds: float) -> dict:
+    """The model card: how the models were made, and how they predict."""
+    return {
+        "models": "user prediction models (section 3.2.3): meta.safetensors for UA, user.safetensors without",
+        "command": " ".join(["airhockey meta_train", *HydraConfig.get().overrides.task]),
+        "date": time.strftime("%Y-%m-%d"),
+        "seed": cfg.seed,
+        "seconds": round(seconds, 1),
+        "data": f"nine simulated training users, {cfg.demonstrations.games} x {cfg.demonstrations.ticks} ticks each",
+        "opponents_sha256": sha256(cfg.models.opponents),
+        "on_nine_others": {name: round(value, 4) for name, value in scores.items()},
+        "config": OmegaConf.to_container(cfg),
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,107 @@
+"""Do the study again and again: which of the paper's 38 findings hold over other people, and over other assumptions?
+
+    airhockey replicate                       200 studies, and 3 x 50 under other assumptions
+    airhockey replicate n=20 sensitivity.points=0
+    airhockey replicate ray=auto together=5   on all cores of a Ray cluster; ray=local: of this machine
+    airhockey replicate resume=outputs/...    go on with a run that was stopped, as if it had not been
+
+A study comes out the same to the last bit whichever others are played beside it. Each of the second kind draws its
+people from a population in which every assumed number is another one (a Latin hypercube), once per variant of how
+people answer a force. A few more are negative controls, which must leave UA nothing to do: everybody's game is taken
+for somebody else's, or all people have one style.
+
+Writes into its run folder: batches/, the trials, a file whenever some studies are done; factors.csv, what was assumed;
+outcomes.csv, a row per study and pair of the paper's; studies.csv, a row per study; robustness.csv, a row per finding
+and kind of study; robustness.png and .svg; replicate.html; manifest.json.
+"""
+
+import time
+from importlib.util import find_spec
+from pathlib import Path
+
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from airhockey_marl.experiment.command import (
+    InputError,
+    ProgressBar,
+    command,
+    config_of,
+    input_errors,
+    require_counts,
+    require_device,
+    require_numbers,
+)
+from airhockey_marl.experiment.files import replacing, write_json
+from airhockey_marl.experiment.parallel import HERE
+from airhockey_marl.experiment.run_folder import locked
+from guidance.simulated_users.force_response import check_variant
+from guidance.statistics.replication_report import summarise
+from guidance.study.provenance import (
+    frozen_study,
+    hashes_of,
+    manifest,
+)
+from guidance.study.replication import (
+    STATE,
+    Studies,
+    batches_of,
+    on_ray,
+    one_by_one,
+)
+
+
+@command("replicate")
+def main(cfg: DictConfig) -> None:
+    with input_errors():
+        if cfg.resume is not None:
+            cfg = config_of(Path(cfg.resume), STATE, cfg)
+        check(cfg)
+        studies = Studies(cfg)
+    torch.set_num_threads(cfg.threads)
+    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
+    with locked(folder, "run"):
+        command_line = " ".join(["airhockey replicate", *HydraConfig.get().overrides.task])
+        facts = manifest(cfg, hashes_of(cfg, studies.models), command_line, 0.0)
+        facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
+        write_json(folder / STATE, facts)
+        with replacing(folder / "factors.csv") as temporary:
+            studies.factors.to_csv(temporary, index_label="study")
+
+        progress, began = ProgressBar(), time.perf_counter()
+        missing = [batch for batch in batches_of(cfg) if not batch.file(folder).is_file()]
+        played = on_ray(cfg, missing, progress) if cfg.ray else one_by_one(studies, missing, progress)
+        for batch, trials in played:
+            with replacing(batch.file(folder)) as temporary:
+                trials.to_csv(temporary, index=False)
+        progress.close()
+        write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
+        print(summarise(folder, cfg, facts, studies.factors))
+        print(f"\nreport: {folder / 'replicate.html'}")
+
+
+def check(cfg: DictConfig) -> None:
+    """Refuse what cannot run.
+
+    Raises:
+        ValueError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "together", "threads")
+    require_device(cfg)
+    require_counts(cfg, "participants", least=3)  # fewer cannot be tested
+    require_counts(cfg, "n", "seed", "controls", "sensitivity.points", least=0)
+    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
+    require_numbers(cfg, "sensitivity.largest", above=1.0)
+    if not cfg.n and not (cfg.sensitivity.points and cfg.sensitivity.variants):
+        raise InputError("n = 0 must be at least 1 where sensitivity.points is 0: there is nothing to do")
+    if cfg.ray is not None and not isinstance(cfg.ray, str):
+        raise InputError(f"ray = {cfg.ray} must be null, {HERE}, auto or the address of a cluster, host:port")
+    if cfg.ray is not None and find_spec("ray") is None:
+        raise InputError(f"ray = {cfg.ray} needs what `pip install 'airhockey-haptics[ray]'` brings: there is no ray")
+    for variant in (cfg.users.variant, *cfg.sensitivity.variants):
+        check_variant(variant)
+
+
+if __name__ == "__main__":
+    main()

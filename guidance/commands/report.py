@@ -1,0 +1,46 @@
+"""The report of a study: the paper's tables and Figure 6 with the paper's numbers beside ours.
+
+`airhockey report runs=outputs/evaluate/...` gathers every trials.csv below the given folders (one run, or the
+runs of a sweep over conditions) and writes tests.csv, figure6.png, figure6.svg and report.html. With `beside` another
+group stands beside it, such as simulated people beside people, with beside.png and beside.svg.
+"""
+
+from pathlib import Path
+
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+
+from airhockey_marl.experiment.command import InputError, command, input_errors
+from guidance.statistics.paper import summary
+from guidance.statistics.report import _files, _places, gather, screen_table, write_report
+
+
+@command("report")
+def main(cfg: DictConfig) -> None:
+    """Gather the runs, write their report, and say on the screen where it is."""
+    folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
+    with input_errors():
+        if not isinstance(cfg.mixed, bool):
+            raise InputError(f"mixed = {cfg.mixed} must be true or false")
+        group = gather(_places(cfg.runs), cfg.mixed)
+        try:
+            beside = None if cfg.beside is None else gather(_places(cfg.beside), cfg.mixed)
+        except ValueError as error:
+            raise ValueError(f"beside: {error}") from error
+        if beside and (same := set(_files(group).values()) & set(_files(beside).values())):
+            named = ", ".join(file for file, digest in _files(beside).items() if digest in same)
+            raise ValueError(f"beside = {cfg.beside} has the same games as runs = {cfg.runs}: {named}")
+    write_report(group.trials, folder, group.manifest, beside)
+    print(screen_table(group.trials, group.people))
+    counts = summary(group.comparison)
+    everything, others = counts.loc["all"], counts.loc["none"]
+    print(f"\n{everything.replicated} of the paper's 38 findings replicate ({everything.tested} tested),", end=" ")
+    print(f"{everything.reversed} reversed; {others.wrongly_significant} of its 63 non-findings are significant here")
+    if beside:
+        everything = summary(beside.comparison).loc["all"]
+        print(f"beside: {everything.replicated} replicate ({everything.tested} tested), {everything.reversed} reversed")
+    print(f"report: {folder / 'report.html'}")
+
+
+if __name__ == "__main__":
+    main()

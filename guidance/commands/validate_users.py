@@ -1,0 +1,173 @@
+"""Measure the simulated people as people have been measured, before any guidance: a virtual laboratory.
+
+    airhockey validate_users                       40 people in the laboratory, 120 at the table
+    airhockey validate_users users.variant=V2      another answer to forces
+    airhockey validate_users +preset=smoke         seconds, to see that it runs
+
+Prints each measure beside the human range and its source. Writes battery.csv (the same) and four figures into its run
+folder: speeds.png (speed profiles of reaches), push.png (how a hand gives way to a force), places.png (where each
+playstyle keeps its paddle) and shots.png (how the puck leaves it).
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from torch import Tensor
+
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.experiment.building import build
+from airhockey_marl.experiment.command import command, input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.files import replacing
+from airhockey_marl.players.players import Player
+from guidance.simulated_users import Mentors, Population, Users, load_mentors, sample_people
+from guidance.simulated_users.force_response import Variant, check_variant
+from guidance.simulated_users.validation.figures import draw_places, draw_push, draw_shots, draw_speeds
+from guidance.simulated_users.validation.motor_tasks import (
+    fitts_slopes,
+    mechanics,
+    push_response,
+    reaches,
+    reaction_times,
+    timing_errors,
+)
+from guidance.simulated_users.validation.playstyles import features, recognised, told_apart
+from guidance.study.demonstrations import collect
+from guidance.study.games import no_force, play_games
+from guidance.study.protocol import Protocol, streams
+from guidance.study.provenance import chosen_opponent
+from guidance.user_model.rounds import hand_speed
+
+SKILLS = (-1.5, 0.0, 1.5)  # of the people whose rounds are counted, in SD of the usual population
+GAME, SKILL_TRIAL = Protocol(familiarisation=0, rounds=14, extra_rounds=0, min_seconds=0, round_seconds=30), 3000
+ANYTHING = (-np.inf, np.inf)
+# Each measure: its unit, what people show, and where that comes from. Without a source it is a demand of this project.
+MEASURES = {
+    "simple visual reaction time": ("s", (0.200, 0.260), "Woods et al. 2015: 213 ms, n = 1469"),
+    "Fitts's law, slope": ("s/bit", (0.08, 0.20), "MacKenzie 1992, devices that follow the hand"),
+    "timing of a blow, SD": ("s", (0.010, 0.040), "Tresilian 2004: 10 ms skilled"),
+    "stiffness of the hand, from pushes": ("N/m", (60.0, 600.0), "van Beek et al. 2015: 135 N/m"),
+    "its damping over its stiffness": ("s", (0.03, 0.08), "van Beek et al. 2015: 0.048 s"),
+    "reaches with one peak of speed": ("share", (0.80, 1.0), "Morasso 1981"),
+    "speed of the hand in play, 99.9 %": ("m/s", (0.0, 1.5), "the workspace of an Omega.7"),
+    "playstyle told from a game, unseen people": ("share", (0.35, 1.0), "chance is 1 of 6"),
+    "person told from another game": ("share", (0.10, 1.0), "chance is 1 of all"),
+    **{f"rounds won, skill {skill:+.1f}": ("share", ANYTHING, "more with more skill") for skill in SKILLS},
+    **{f"shots stopped, skill {skill:+.1f}": ("share", ANYTHING, "more with more skill") for skill in SKILLS},
+}
+
+
+@command("validate_users")
+def main(cfg: DictConfig) -> None:
+    with input_errors():
+        require_counts(cfg, "threads")
+        require_counts(cfg, "laboratory", "per_style", least=2)
+        require_counts(cfg, "seed", least=0)
+        require_numbers(cfg, "play_seconds", least=10.0)
+        check_variant(cfg.users.variant)
+        population: Population = build(cfg.users.population)
+        mentors = load_mentors(cfg.users.mentors)
+        opponent = chosen_opponent(cfg)
+    torch.set_num_threads(cfg.threads)
+    people = sample_people(cfg.laboratory, cfg.seed, population)
+    found, data = in_the_laboratory(people, cfg.users.variant, cfg.seed)
+    styles, play = at_the_table(
+        population, cfg.per_style, cfg.play_seconds, opponent, cfg.users.variant, mentors, cfg.seed
+    )
+    skills = by_skill(population, 6 * cfg.per_style, opponent, cfg.users.variant, mentors, cfg.seed)
+    table = as_table({**found, **styles, **skills})
+    folder = Path(HydraConfig.get().runtime.output_dir)
+    with replacing(folder / "battery.csv") as temporary:
+        table.to_csv(temporary, index=False)
+    pushed = {name: push_response(people, name, seed=cfg.seed) for name in Variant.__members__}
+    names = list(population.archetypes)
+    draw_speeds(data, folder / "speeds.png")
+    draw_push(pushed, folder / "push.png")
+    draw_places(dict(zip(names, play, strict=True)), Table(), folder / "places.png")
+    draw_shots(dict(zip(names, play, strict=True)), Table(), folder / "shots.png")
+    print(table.to_string(index=False, float_format=lambda number: f"{number:.3g}"))
+    print(f"\nfigures: {folder}")
+
+
+def as_table(found: Mapping[str, np.ndarray]) -> pd.DataFrame:
+    """A row per measure: mean and SD over people, the human range, whether the mean is in it, and the source."""
+    rows = []
+    for name, values in found.items():
+        unit, (low, high), source = MEASURES[name]
+        mean, sd = float(np.nanmean(values)), float(np.nanstd(values))
+        human = "" if low == -np.inf else f"{low:g} to {high:g}"
+        rows.append([name, unit, mean, sd, human, "yes" if low <= mean <= high else "NO", source])
+    return pd.DataFrame(rows, columns=["measure", "unit", "mean", "sd", "human", "within", "source"])
+
+
+def in_the_laboratory(people: np.ndarray, variant: str, seed: int):
+    """The measures of the laboratory, a value per person each, and the reaches behind some of them."""
+    data = reaches(people, seed=seed)
+    _, damping, stiffness = mechanics(people, variant=variant, seed=seed).T
+    return {
+        "simple visual reaction time": reaction_times(people, seed=seed).mean(axis=1),
+        "Fitts's law, slope": fitts_slopes(data),
+        "timing of a blow, SD": np.nanstd(timing_errors(people, seed=seed), axis=1),
+        "stiffness of the hand, from pushes": stiffness,
+        "its damping over its stiffness": damping / stiffness,
+        "reaches with one peak of speed": (data.peaks() == 1).mean(axis=1),
+    }, data
+
+
+def at_the_table(
+    population: Population,
+    per_style: int,
+    seconds: float,
+    opponent: Player,
+    variant: str,
+    mentors: Mentors,
+    seed: int,
+) -> tuple[dict[str, np.ndarray], list[Tensor]]:
+    """The measures of unguided play, and the play of each archetype (people, ticks, 12)."""
+    table = Table()
+    ticks, how = round(seconds / table.tick), (table, variant, mentors)
+
+    def games(number: int, seed: int, population: Population, archetype: str | None):
+        """Two games of each of `number` people."""
+        people = sample_people(number, seed, population, archetype)
+        return collect(people, opponent, 2, ticks, *how, seed)
+
+    archetypes = list(population.archetypes)
+    known, unseen = ([games(per_style, seed + 100 * (k + 1), population, name) for name in archetypes] for k in (0, 1))
+    style = np.repeat(np.arange(len(archetypes)), per_style)
+    first, one, another = (
+        np.concatenate([features(data.observation[:, game], table) for data in group])
+        for group, game in ((known, 0), (unseen, 0), (unseen, 1))
+    )
+    speeds = [hand_speed(data.observation, data.action, table).numpy().ravel() for data in unseen]
+    fastest = np.percentile(np.concatenate(speeds), 99.9)
+    found = {
+        "speed of the hand in play, 99.9 %": np.array([fastest]),
+        "playstyle told from a game, unseen people": told_apart(first, style, one) == style,
+        "person told from another game": np.array([recognised(one, another)]),
+    }
+    return found, [data.observation[:, 0] for data in unseen]
+
+
+def by_skill(
+    population: Population, number: int, opponent: Player, variant: str, mentors: Mentors, seed: int
+) -> dict[str, np.ndarray]:
+    """Rounds won and shots stopped by `number` people of each of `SKILLS`, a value per person each."""
+    table, won, stopped = Table(), {}, {}
+    for trial, skill in enumerate(SKILLS):
+        people = sample_people(number, seed + 300, replace(population, skill_mean=skill, skill_sd=0.0))
+        minds, serves = (streams(seed, range(number), SKILL_TRIAL + trial, purpose) for purpose in (0, 1))
+        users = Users(people, minds, table, variant, mentors)
+        results = play_games(users, opponent, no_force, GAME, table, serves).results
+        won[f"rounds won, skill {skill:+.1f}"] = results["win_rate"]
+        stopped[f"shots stopped, skill {skill:+.1f}"] = results["defense_rate"]
+    return {**won, **stopped}
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,220 @@
+"""Watch one person play under one condition: what a simulated person wants, what the models say, and the force.
+
+    airhockey watch                              a striker under OAHG (UT), 20 s
+    airhockey watch user=wall condition=nhg      somebody else, without guidance
+    airhockey watch speed=0.4                    in slow motion
+    airhockey watch user=null                    the first person of the study with this seed
+    airhockey watch run=outputs/play/...         a game that was played at the window, again
+
+Writes into its run folder: watch.gif, watch.png (six of its moments) and watch.csv (a row per tick).
+"""
+
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from string import ascii_lowercase
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from hydra.core.hydra_config import HydraConfig
+from omegaconf import DictConfig
+from tensordict import TensorDict
+
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.experiment.building import build
+from airhockey_marl.experiment.command import (
+    InputError,
+    ProgressBar,
+    choices,
+    command,
+    input_errors,
+    require_counts,
+    require_numbers,
+)
+from airhockey_marl.experiment.files import found_below, replacing
+from airhockey_marl.players.players import Player
+from guidance.display.film import NARROWEST, Scene, draw_sheet, save_film
+from guidance.forces.conditions import ADAPTED, Condition
+from guidance.sessions.recording import games_in, load_json
+from guidance.simulated_users import Population, Users, load_mentors, sample_people
+from guidance.simulated_users.force_response import check_variant
+from guidance.simulated_users.intention import Intention
+from guidance.study.games import Rink, no_force, play_games
+from guidance.study.models import Models
+from guidance.study.protocol import NO_CONDITION, Protocol, streams
+from guidance.study.provenance import chosen_models, chosen_opponent
+from guidance.study.tick_log import TickLog, overheard_guide, read_ticks, scene_facts
+
+LONGEST = 60  # s: all pictures of a film are in memory together
+MOST_SKILL = 4.0  # standard deviations
+
+
+@command("watch")
+def main(cfg: DictConfig) -> None:
+    with input_errors():
+        check(cfg, round(1 / Table().tick))
+        again = None if cfg.run is None else recorded(Path(cfg.run), cfg.game, cfg.start, cfg.seconds)
+    torch.set_num_threads(cfg.threads)
+    progress = ProgressBar()
+    ticks, facts = again if again is not None else simulated(cfg, progress)
+    scene = Scene(
+        table=Table(),
+        title=facts["title"],
+        player=facts["player"],
+        opponent=facts["opponent"],
+        used=frozenset(facts["used"]),
+        adapted=facts["adapted"],
+        width=cfg.width,
+        simulated="wanted_x" in ticks,
+    )
+    folder, tick = Path(HydraConfig.get().runtime.output_dir), scene.table.tick
+    with replacing(folder / "watch.csv") as temporary:
+        ticks.to_csv(temporary, index=False, float_format="%.6g")
+    with replacing(folder / "watch.png") as temporary:
+        draw_sheet(ticks, scene).save(temporary)
+    every = round(1 / (tick * cfg.frames_per_second))
+    shown = 10 * round(100 * every * tick / cfg.speed)  # ms; a GIF counts in hundredths of a second
+    with replacing(folder / "watch.gif") as temporary:
+        save_film(temporary, ticks, scene, every, shown, partial(progress, "film"))
+    progress.close()
+    last = ticks.iloc[-1]
+    print(f"{scene.title}: {last['won']:.0f} to {last['lost']:.0f} after {last['time_s']:g} s")
+    print(f"\nfilm: {folder / 'watch.gif'}")
+
+
+def recorded(run: Path, game: str | None, start: float, seconds: float) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """A part of a game that was recorded, and what its film says about it, see `guidance.study.tick_log.scene_facts`.
+
+    Args:
+        run: a game's table (`..._beh.tsv`), or a folder of `guidance.commands.play` or of a person in `guidance.commands.lab`.
+        game: in a folder, which one, by its name; None for the last.
+        start: s, the game's time where the part begins.
+        seconds: of the part.
+
+    Raises:
+        ValueError: there is no such game, or it has nothing at that time.
+    """
+    if run.is_file():
+        file = run.with_suffix(".tsv")
+        facts = load_json(run.with_suffix(".json"))["Facts"]
+    else:
+        folders = sorted({file.parent for file in found_below([run], "*_beh.json")})
+        if len(folders) > 1:
+            raise ValueError(f"run = {run} has the games of several people: name the folder of one")
+        games = games_in(folders[0])
+        if not games:
+            raise ValueError(f"run = {run} has no whole game; one that was broken off is shown by the name of its .tsv")
+        if game is not None and game not in games:
+            raise ValueError(f"game = {game} must be one of {', '.join(games)}")
+        chosen = games[list(games)[-1] if game is None else game]
+        file, facts = chosen.file, chosen.facts
+    ticks = read_ticks(file)
+    ticks = ticks[ticks["scored"] == 1]  # time begins anew after the familiarisation
+    ticks = ticks[(ticks["time_s"] > start) & (ticks["time_s"] <= start + seconds)].reset_index(drop=True)
+    if ticks.empty:
+        raise ValueError(f"start = {start}: {file} has nothing then")
+    return ticks, facts
+
+
+def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """Let a simulated person play; the game, and what its film says about it."""
+    table = Table()
+    with input_errors():
+        condition: Condition = build(cfg.condition)
+        protocol: Protocol = build(cfg.study)
+        person, mentors = chosen_person(cfg), load_mentors(cfg.users.mentors)
+        models = chosen_models(cfg)
+        opponent = chosen_opponent(cfg)
+    adapted = None
+
+    def seat(game: int) -> tuple[Users, np.ndarray]:
+        """The person, and the table's stream, as in a study's game."""
+        minds, serves = (streams(cfg.seed, [0], game, purpose) for purpose in (0, 1))
+        return Users(person, minds, table, cfg.users.variant, mentors), serves
+
+    if ADAPTED in condition.guidance.models():
+        progress("unscored game", 0.0)
+        users, serves = seat(NO_CONDITION)
+        game = play_games(users, opponent, no_force, protocol, table, serves, keep_demonstrations=True)
+        adapted = models.adapted_to(game.demonstrations)
+    users, serves = seat(ascii_lowercase.index(condition.letter))
+    ticks = play(users, condition, models, adapted, opponent, cfg.guidance.lookahead, table, serves, cfg.seconds)
+    archetypes = list(cfg.users.population.archetypes)
+    player = f"simulated {archetypes[person['archetype'][0]].replace('_', '-')}"
+    return ticks, scene_facts(condition, player, f"generation {cfg.opponent}", adapted is not None)
+
+
+def check(cfg: DictConfig, ticks_per_second: int) -> None:
+    """Refuse what cannot be played or shown.
+
+    Raises:
+        InputError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "threads", "frames_per_second")
+    require_counts(cfg, "seed", least=0)
+    require_counts(cfg, "width", least=NARROWEST)
+    require_numbers(cfg, "seconds", at_most=LONGEST)
+    require_numbers(cfg, "start", least=0.0)
+    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
+    if ticks_per_second % cfg.frames_per_second:
+        raise InputError(f"frames_per_second = {cfg.frames_per_second} must divide {ticks_per_second}")
+    require_numbers(cfg, "speed", at_most=ticks_per_second / cfg.frames_per_second)
+    if cfg.get("condition") is None:
+        raise InputError(f"condition = null must be one of {', '.join(choices('watch')['condition'])}")
+    check_variant(cfg.users.variant)
+
+
+def chosen_person(cfg: DictConfig) -> np.ndarray:
+    """(1,) the person that the configuration asks for.
+
+    Raises:
+        InputError: there is no such archetype or skill.
+    """
+    population: Population = build(cfg.users.population)
+    if cfg.user is not None and cfg.user not in population.archetypes:
+        raise InputError(f"user = {cfg.user} must be one of {', '.join(population.archetypes)}, null")
+    if cfg.skill is not None:
+        require_numbers(cfg, "skill", least=-MOST_SKILL, at_most=MOST_SKILL)
+        population = replace(population, skill_mean=float(cfg.skill), skill_sd=0.0)
+    return sample_people(1, cfg.seed, population, cfg.user)
+
+
+@torch.no_grad()
+def play(
+    users: Users,
+    condition: Condition,
+    models: Models,
+    adapted: TensorDict | None,
+    opponent: Player,
+    lookahead_seconds: float,
+    table: Table,
+    serves: np.ndarray,
+    seconds: float,
+) -> pd.DataFrame:
+    """Let one person play at the left seat, a round after each goal.
+
+    Args:
+        adapted: their own parameters of the user model, batch size (1,), if the condition has UA.
+        serves: (1,) uint64, the table's random numbers.
+
+    Returns:
+        A row per tick, see `guidance.study.tick_log.COLUMNS`, and of the person where they want the hand (wanted_x and _y, in
+        m of the hand) and their intention.
+    """
+    guide, overheard = overheard_guide(condition, models, adapted, lookahead_seconds)
+    rink, log = Rink(users, opponent, table, serves), TickLog(overheard, table.tick)
+    rink.new_games()
+    for _ in range(max(1, round(seconds / table.tick))):
+        (wanted_x, wanted_y), intention = users.goal[0], Intention(users.intention[0]).name
+        tick = rink.tick(guide)
+        scored = tick.goals != 0
+        log(tick, True, scored[0]).update(wanted_x=wanted_x, wanted_y=wanted_y, intention=intention)
+        if scored[0]:
+            rink.new_rounds(scored)
+    return pd.DataFrame(log.rows)
+
+
+if __name__ == "__main__":
+    main()

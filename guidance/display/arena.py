@@ -1,0 +1,124 @@
+"""The table as a player sees it: paddles, puck, the pull on the hand, and what the models would do."""
+
+from itertools import pairwise
+from math import hypot
+
+import numpy as np
+import pygame
+from PIL import Image, ImageDraw
+
+from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, Table, reach
+from airhockey_marl.envs.rendering import COLOURS, FELT, SMOOTHING, View, empty_table
+from guidance.display.drawing import Place, picture_of, smooth_polygon
+from guidance.display.film import ARROW, CORNERS, FORCE, PAPER, TARGETS, WANTED, Marks
+from guidance.forces.conditions import Target
+from guidance.haptics.seat import Moment
+
+TRAIL = 15  # pictures of the puck's way
+LEAP = 0.4  # m from picture to picture: no puck is so fast, it was served
+BODIES = (LEFT, RIGHT, PUCK)  # in the order in which a state has them
+
+
+class Arena:
+    """Draws the moments of a game on a table `width` pixels wide.
+
+    Attributes:
+        size: width and height in pixels.
+        marks: of the models' targets, by model.
+    """
+
+    def __init__(self, table: Table, width: int) -> None:
+        self.view, self.table = View(table, width), table
+        self.middle, self.half = reach(table)
+        self.scale = self.view.scale / SMOOTHING  # pixels per m
+        self._table = picture_of(empty_table(self.view))
+        self.size = self._table.get_size()
+        radii = {LEFT: table.paddle_radius, RIGHT: table.paddle_radius, PUCK: table.puck_radius}
+        self._bodies = {body: self._disc(radius, body) for body, radius in radii.items()}
+        self.marks = {model: self._mark(model) for model in TARGETS}
+        self._way: list[Place] = []
+
+    def pixel(self, place: np.ndarray) -> Place:
+        """Where a place (2,) in m of the table is on the surface."""
+        x, y = self.view.pixel(*place)
+        return x / SMOOTHING, y / SMOOTHING
+
+    def of_action(self, action: np.ndarray) -> Place:
+        """Where the place that an action (2,) asks for is on the surface."""
+        return self.pixel(self.middle + self.half * action)
+
+    def action_at(self, pixel: Place) -> np.ndarray:
+        """(2,) the action that asks for what is under a pixel; beyond -1 and 1 outside the own side."""
+        origin = np.array(self.pixel(np.zeros(2)))
+        place = (np.array(pixel) - origin) / self.scale * np.array([1.0, -1.0])
+        return (place - self.middle) / self.half
+
+    def draw(self, surface: pygame.Surface, moment: Moment, overlay: bool, force: bool) -> None:
+        """Draw a moment, with the models' targets if `overlay` says so, and the force if `force` does."""
+        surface.blit(self._table, (0, 0))
+        if moment.state is None:
+            self._way = []
+            return
+        then, now = moment.last.reshape(3, 4)[:, :2], moment.state.reshape(3, 4)[:, :2]
+        places = [self.pixel(place) for place in then + moment.share * (now - then)]
+        self._draw_way(surface, places[2])
+        if overlay:
+            for model, target in (("optimal", moment.optimal), ("predicted", moment.predicted)):
+                if target is not None:
+                    self._draw_target(surface, model, target)
+        for body, at in reversed(list(zip(BODIES, places, strict=True))):
+            picture = self._bodies[body]
+            surface.blit(picture, picture.get_rect(center=at))
+        hand = self.of_action(moment.hand)
+        pygame.draw.aaline(surface, WANTED, places[0], hand)
+        pygame.draw.aacircle(surface, WANTED, hand, 0.011 * self.scale, 3)
+        if force:
+            self._draw_force(surface, places[0], moment.force)
+
+    def _draw_way(self, surface: pygame.Surface, puck: Place) -> None:
+        served = self._way and hypot(puck[0] - self._way[-1][0], puck[1] - self._way[-1][1]) > LEAP * self.scale
+        self._way = [puck] if served else [*self._way[-TRAIL:], puck]
+        if len(self._way) > 1:
+            colour = tuple((2 * ground + ink) // 3 for ground, ink in zip(FELT, COLOURS[PUCK], strict=True))
+            for start, end in pairwise(self._way):
+                pygame.draw.aaline(surface, colour, start, end, 3)
+
+    def _draw_target(self, surface: pygame.Surface, model: str, target: Target) -> None:
+        mean, std = target.mean[0].numpy(), target.std[0].numpy()
+        box = pygame.Rect((0, 0), 2 * self.half * std * self.scale)
+        if min(box.size) >= 3:
+            layer = pygame.Surface(box.size, pygame.SRCALPHA)
+            pygame.draw.ellipse(layer, (*TARGETS[model], 45), layer.get_rect())
+            pygame.draw.ellipse(layer, (*TARGETS[model], 170), layer.get_rect(), 2)
+            surface.blit(layer, layer.get_rect(center=self.of_action(mean)))
+        mark = self.marks[model]
+        inside = np.clip(self.of_action(mean), 10, np.array(self.size) - 10)  # a model may want more than there is
+        surface.blit(mark, mark.get_rect(center=tuple(inside)))
+
+    def _draw_force(self, surface: pygame.Surface, start: Place, force: np.ndarray) -> None:
+        newtons = hypot(*force)
+        length = newtons * ARROW * self.scale
+        if length < 2:
+            return
+        head, unit = min(0.6 * length, 0.034 * self.scale), 0.0065 * self.scale
+        half = np.array([(0, unit), (length - head, unit), (length - head, 2.8 * unit), (length, 0)])
+        outline = np.concatenate([half, half[::-1] * [1, -1]])
+        right, up = force / newtons
+        corners = start + outline @ np.array([[right, -up], [-up, -right]])
+        smooth_polygon(surface, corners, FORCE, PAPER)
+
+    def _disc(self, radius: float, body: int) -> pygame.Surface:
+        size = 2 * round(radius * self.scale) + 4
+        image = Image.new("RGBA", (SMOOTHING * size,) * 2, (*COLOURS[body], 0))
+        middle, pen = SMOOTHING * size / 2, ImageDraw.Draw(image)
+        for share, colour in ((1.0, COLOURS[body]), *((0.5, FELT),) * (body != PUCK)):
+            far = share * radius * self.view.scale
+            pen.ellipse((middle - far, middle - far, middle + far, middle + far), fill=(*colour, 255))
+        return picture_of(image)
+
+    def _mark(self, model: str) -> pygame.Surface:
+        far = max(abs(number) for corner in CORNERS[model] for number in corner) * self.view.scale / 400 + 9
+        side = SMOOTHING * round(2 * far / SMOOTHING)
+        image = Image.new("RGBA", (side, side), (*PAPER, 0))
+        Marks(image, self.view.scale).target((side / 2, side / 2), model, TARGETS[model])
+        return picture_of(image)

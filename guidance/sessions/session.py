@@ -1,0 +1,256 @@
+"""One person's session in the laboratory (section 4.2), from the consent to the last rating.
+
+Everything that is finished is on the disk before the next thing begins, so a session that was broken off, by whatever,
+goes on with the first thing that is not.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import ceil
+from string import ascii_lowercase
+from typing import Protocol as Interface
+
+import numpy as np
+from tensordict import TensorDict
+
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.players.players import Player
+from guidance.display.pages import Items, Page
+from guidance.forces.conditions import Condition
+from guidance.haptics.seat import Moment, Seat
+from guidance.sessions.bids import Participant
+from guidance.sessions.recording import UNSCORED, Recording
+from guidance.simulated_users.ratings import RATINGS
+from guidance.study.games import Rink, Tick, play_games
+from guidance.study.models import Models
+from guidance.study.protocol import NO_CONDITION, Protocol, order_of, streams
+from guidance.study.tick_log import COLUMNS, TickLog, demonstration, overheard_guide, read_ticks, scene_facts
+
+WELCOME = (
+    "You play at the left side, in blue. The paddle follows your hand. Whoever gets the puck into the other's goal "
+    "wins the round.\n\nPractise now for as long as you like, without guidance; return ends it."
+)
+FIRST_GAME = (
+    "Now play one game without guidance, from which the guidance learns how you play. It does not count.\n\nThe first "
+    "{familiarisation:g} seconds are to warm up; then the game begins, and has {rounds} to {most} rounds."
+)
+NEXT_GAME = (
+    "Game {number} of {games}, with a guidance that may differ from the one before.\n\nThe first {familiarisation:g} "
+    "seconds are to get used to it; then the game begins, and has {rounds} to {most} rounds.\n\nRest as long as you "
+    "like before it."
+)
+SKIP = "s"
+THANKS = "That was the last game. Thank you!"
+
+
+class Desk(Interface):
+    """Where the person reads, answers, and the experimenter writes."""
+
+    def page(self, page: Page) -> str: ...
+
+    def ask(self, items: Items) -> dict[str, int]: ...
+
+    def write_down(self, page: Page) -> str: ...
+
+
+class Events(Interface):
+    """Who wants to know what happens when, see `guidance.sessions.lsl`."""
+
+    def mark(self, what: str) -> None: ...
+
+    def tick(self, row: Mapping[str, float]) -> None: ...
+
+
+class Nobody:
+    """Nobody wants to know."""
+
+    def mark(self, what: str) -> None:
+        pass
+
+    def tick(self, row: Mapping[str, float]) -> None:
+        pass
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What is the same for everybody in a study.
+
+    Attributes:
+        conditions: the nine, in the order of their letters.
+        protocol, lookahead_seconds: as in a study with simulated people.
+        participants: people for whom the order is counterbalanced.
+        seed: of the order and the serves.
+        consent: the text that is shown.
+        questions, scale: what is asked after a game, and what 1 and 7 mean.
+        interview: whether notes on what the person says are taken.
+        device: what the hand holds.
+    """
+
+    conditions: Sequence[Condition]
+    models: Models
+    opponent: Player
+    opponent_label: str
+    protocol: Protocol
+    lookahead_seconds: float
+    participants: int
+    seed: int
+    consent: str
+    questions: Mapping[str, str]
+    scale: tuple[str, str]
+    interview: bool
+    device: str
+
+    def __post_init__(self) -> None:
+        if set(self.questions) != set(RATINGS):
+            raise ValueError(f"questions = {', '.join(self.questions)} must be {', '.join(RATINGS)}")
+        if len(self.scale) != 2:
+            raise ValueError(f"scale = {list(self.scale)} must be two texts, for 1 and for 7")
+        if not self.consent.strip():
+            raise ValueError("consent: the file must hold a text")
+
+
+class Session:
+    """Takes one person through the study.
+
+    Args:
+        seated: is told the number of a game (see `guidance.study.study`) that begins; a simulated person sits down anew.
+    """
+
+    def __init__(
+        self,
+        plan: Plan,
+        participant: Participant,
+        seat: Seat,
+        desk: Desk,
+        events: Events | None = None,
+        seated: Callable[[int], None] = lambda game: None,
+    ) -> None:
+        if participant.place >= plan.participants:
+            raise ValueError(
+                f"participants = {plan.participants}: {participant.label} would be number {participant.place + 1}"
+            )
+        self.plan, self.participant, self.seat, self.desk = plan, participant, seat, desk
+        self.events, self.seated = events or Nobody(), seated
+        seat.mark = self.events.mark
+        self.adapted: TensorDict | None = None
+        places = order_of(plan.participants, len(plan.conditions), plan.seed)[participant.place]
+        self.order = [plan.conditions[i] for i in np.argsort(places)]
+
+    def run(self) -> bool:
+        """Do what is not done yet; whether the person takes part.
+
+        Raises:
+            Leave: the person wants to go; what is finished is kept.
+        """
+        if not self._consented():
+            return False
+        if UNSCORED not in self.participant.games:
+            self._practise()
+            self._read("A first game", FIRST_GAME, {"return": "begin"})
+            self._play(self._without_guidance(), UNSCORED, 0, NO_CONDITION, "A first game")
+        self.adapted = self.plan.models.adapted_to([demonstration(read_ticks(self.participant.games[UNSCORED].file))])
+        for number, condition in enumerate(self.order, 1):
+            game = self.participant.games.get(condition.name)
+            title = f"Game {number} of {len(self.order)}"
+            if game is None:
+                self._read(title, NEXT_GAME, {"return": "begin"}, number)
+                self._play(condition, condition.name, number, ascii_lowercase.index(condition.letter), title)
+            if self.participant.games[condition.name].ratings is None:
+                self._rate(condition.name, title)
+        self._read("Thank you", THANKS, {"return": "leave"})
+        return True
+
+    def _consented(self) -> bool:
+        if self.participant.consent is None:
+            keys = {"y": "I have read this and take part", "n": "I do not take part"}
+            if self.desk.page(Page("Before you take part", self.plan.consent, keys)) != "y":
+                return False
+            self.participant.give_consent(self.plan.consent)
+            self.events.mark("consent")
+        return True
+
+    def _read(self, title: str, text: str, keys: Mapping[str, str], number: int = 0) -> str:
+        protocol = self.plan.protocol
+        most = protocol.rounds + protocol.extra_rounds
+        numbers = {"familiarisation": protocol.familiarisation, "rounds": protocol.rounds, "most": most}
+        return self.desk.page(Page(title, text.format(number=number, games=len(self.order), **numbers), keys))
+
+    def _without_guidance(self) -> Condition:
+        return next(condition for condition in self.plan.conditions if not condition.guidance.models())
+
+    def _practise(self) -> None:
+        """A game without end and without guidance, which nobody records."""
+        if self._read("Practice", WELCOME, {"return": "practise", SKIP: "no practice"}) == SKIP:
+            return
+        seat, table = self.seat, Table()
+        self.seated(NO_CONDITION)
+        rink = Rink(seat, self.plan.opponent, table, self._serves(NO_CONDITION, purpose=4))
+        seat.moment = Moment(title="Practice: return when you have had enough")
+        rink.new_games()
+        won = lost = 0
+        self.events.mark("practice")
+        while "return" not in seat.taken():
+            tick = rink.tick()
+            won, lost = won + int(tick.goals[0] > 0), lost + int(tick.goals[0] < 0)
+            seat.moment.won, seat.moment.lost = won, lost
+            if tick.goals[0]:
+                rink.new_rounds(tick.goals != 0)
+
+    def _serves(self, game: int, purpose: int = 1) -> np.ndarray:
+        return streams(self.plan.seed, [self.participant.place], game, purpose)
+
+    def _play(self, condition: Condition, name: str, position: int, game: int, title: str) -> None:
+        """Play one game by the protocol, and put it on the disk round by round."""
+        plan, seat, table = self.plan, self.seat, Table()
+        own = self.adapted if name != UNSCORED else None
+        guide, overheard = overheard_guide(condition, plan.models, own, plan.lookahead_seconds)
+        log = TickLog(overheard, table.tick, seat.hand)
+        facts = scene_facts(condition, self.participant.label, plan.opponent_label, own is not None)
+        facts |= {"device": plan.device, "questions": dict(plan.questions), "scale": list(plan.scale)}
+        self.seated(game)
+        with self.participant.begin_game(name, position, COLUMNS, facts) as recording:
+            self.events.mark(f"begin {name}")
+            seat.moment = Moment(title=title)
+
+            def watching(tick: Tick, scored: bool, ended: np.ndarray) -> None:
+                self._watch(log, recording, tick, scored, ended)
+
+            try:
+                played = play_games(
+                    seat, plan.opponent, guide, plan.protocol, table, self._serves(game), watching=watching
+                )
+            except BaseException:
+                self.events.mark(f"interrupted {name}")
+                raise
+            results = {**played.results, **played.weights, "rounds": played.rounds, "duration_s": played.seconds}
+            numbers = {key: float(values[0]) for key, values in results.items()}
+            if not condition.guidance.models():
+                numbers["mean_disagreement"] = float("nan")  # there is no force to disagree with (section 5.2)
+            recording.finish(numbers, {"late_ticks": seat.late, "pauses": seat.pauses, "faults": seat.faults})
+        self.events.mark(f"end {name}")
+
+    def _watch(self, log: TickLog, recording: Recording, tick: Tick, scored: bool, ended: np.ndarray) -> None:
+        """Show how it stands, and save each round as it ends."""
+        began = scored and not log.scored
+        row = log(tick, scored, bool(ended[0]))
+        self.events.tick(row)
+        moment = self.seat.moment
+        moment.won, moment.lost, moment.seconds = log.won, log.lost, row["time_s"]
+        left = self.plan.protocol.familiarisation - row["time_s"]
+        moment.note = f"the game begins in {ceil(left)} s" if not scored and 0 < left < 4 else ""
+        if began:
+            self.events.mark("scored")
+        if row["goal"]:
+            self.events.mark("goal" if row["goal"] > 0 else "goal against")
+        if ended[0]:
+            moment.note = {1: "goal!", -1: "goal against you", 0: "out of time"}[int(row["goal"])]
+            recording.append(log.take())
+
+    def _rate(self, name: str, title: str) -> None:
+        low, high = self.plan.scale
+        ratings = self.desk.ask(Items(f"{title}: how was the guidance?", self.plan.questions, low, high))
+        self.participant.save_ratings(name, ratings)
+        self.events.mark(f"rated {name}")
+        if self.plan.interview:
+            text = "For the experimenter: what did the person say about this game? Return when done; may stay empty."
+            self.participant.save_ratings(name, ratings, self.desk.write_down(Page(f"{title}: interview", text, {})))

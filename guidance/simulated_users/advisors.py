@@ -1,0 +1,69 @@
+"""Good players whose judgement people have learned from: generations of a league, asked inside the compiled tick."""
+
+from math import erf, sqrt
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import torch
+from numba import njit
+
+from airhockey_marl.league.league import League
+
+
+class Mentors(NamedTuple):
+    """The models of k generations, from the weakest to the strongest.
+
+    Attributes:
+        sizes: (layers + 1,) int64, numbers in each layer, from the 12 of a state to mean and spread of the action.
+        weights: (k, numbers) float64, layer by layer the matrix, row by row, and the biases.
+    """
+
+    sizes: np.ndarray
+    weights: np.ndarray
+
+
+NO_MENTORS = Mentors(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
+
+
+@torch.no_grad()
+def mentors_of(league: League) -> Mentors:
+    """All generations of a league as mentors; the scaling of the inputs becomes part of the first layer."""
+    inputs = league.policy.inputs(torch.eye(12)).T.double()
+    layers = [f"layers.{2 * index}" for index in range(len(league.policy.hidden))] + ["head"]
+    rows = []
+    for snapshot in league.snapshots:
+        tensors = {name: tensor.double() for name, tensor in snapshot.flatten_keys(".").items()}
+        tensors["layers.0.weight"] = tensors["layers.0.weight"] @ inputs
+        parts = [tensors[f"{layer}.{part}"].flatten() for layer in layers for part in ("weight", "bias")]
+        rows.append(torch.cat(parts))
+    return Mentors(np.array([12, *league.policy.hidden, 4]), torch.stack(rows).numpy())
+
+
+def load_mentors(path: Path | str | None) -> Mentors:
+    """The mentors in a league's file; nobody for None.
+
+    Raises:
+        ValueError: the file is missing or broken.
+    """
+    return NO_MENTORS if path is None else mentors_of(League.load(path))
+
+
+@njit(cache=True)
+def advised(mentors, skill, state):
+    """The mean action (x, y) that someone of this skill has learned to think of at this state (12,).
+
+    The share of people who are less skilled picks the generation: half of them for the median person.
+    """
+    share = 0.5 * (1.0 + erf(skill / sqrt(2.0)))
+    weights = mentors.weights[int(share * (len(mentors.weights) - 1) + 0.5)]
+    layer, start = state, 0
+    for index in range(len(mentors.sizes) - 1):
+        width, height = mentors.sizes[index], mentors.sizes[index + 1]
+        matrix = weights[start : start + width * height].reshape(height, width)
+        start += width * height
+        layer = np.dot(matrix, layer) + weights[start : start + height]
+        start += height
+        if index < len(mentors.sizes) - 2:
+            layer = np.maximum(layer, 0.0)
+    return min(max(layer[0], -1.0), 1.0), min(max(layer[1], -1.0), 1.0)

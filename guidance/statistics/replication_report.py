@@ -1,0 +1,67 @@
+"""The report of many replicated studies."""
+
+import base64
+from pathlib import Path
+
+import pandas as pd
+from omegaconf import DictConfig
+
+from airhockey_marl.experiment.files import replacing, write_text
+from airhockey_marl.experiment.html import template
+from guidance.statistics.figures import robustness_map, save_figure
+from guidance.statistics.paper import EVIDENCE, reference_points
+from guidance.statistics.robustness import findings_over, leans_on, outcomes_of, scores_of, spread, ua_over, wrong_over
+from guidance.statistics.tests import METRICS
+from guidance.study.replication import ALIKE, AS_IT_IS, SWAPPED, batches_of
+
+
+def summarise(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame) -> str:
+    """Test every study and write tables, figure and page; what the screen says is returned."""
+    withdrawn, outcomes, scores = list(cfg.users.withdrawn), [], []
+    for batch in batches_of(cfg):
+        for study, trials in pd.read_csv(batch.file(folder), dtype={"user": "str"}).groupby("study"):
+            outcome = outcomes_of(trials, withdrawn)
+            outcomes.append(outcome.assign(group=batch.group, study=study))
+            scores.append({"group": batch.group, "study": study} | scores_of(trials, outcome))
+    outcomes, scores = pd.concat(outcomes, ignore_index=True), pd.DataFrame(scores)
+    findings, wrong = findings_over(outcomes), wrong_over(outcomes)
+    groups = list(scores["group"].unique())
+    leans = {v: leans_on(outcomes[outcomes["group"] == v], factors) for v in cfg.sensitivity.variants if v in groups}
+    tables = {"outcomes": outcomes, "studies": scores, "robustness": findings}
+    for name, table in tables.items():
+        with replacing(folder / f"{name}.csv") as temporary:
+            table.to_csv(temporary, index=False)
+    svg = save_figure(lambda: robustness_map(findings), folder, "robustness", dpi=130)
+    by_group = {
+        group: {"studies": len(rows)} | {name: spread(rows[name]) for name in rows.columns[2:]}
+        for group, rows in scores.groupby("group", sort=False)
+    }
+    by_chance, rerun = reference_points(cfg.participants)
+    page = template(Path(__file__).parent / "templates", "replication_report.html").render(
+        groups=by_group,
+        wrong=wrong[wrong["outcome"] >= 0.25].sort_values("outcome", ascending=False).to_dict("records"),
+        leans={group: table[table["p"] < 0.05].to_dict("records") for group, table in leans.items()},
+        evidence=EVIDENCE,
+        metrics=METRICS,
+        withdrawn=withdrawn,
+        cells=findings.loc[findings["group"] == groups[0], "evidence"].value_counts().to_dict(),
+        counting=int((findings.loc[findings["group"] == groups[0], "withdrawn"] == 0).sum()),
+        by_chance=by_chance,
+        rerun=rerun,
+        figure=base64.b64encode(svg).decode("ascii"),
+        facts=facts,
+        names={AS_IT_IS: "as the study is", SWAPPED: "UA from somebody else’s game", ALIKE: "people of one style"},
+        ua=ua_over(outcomes).to_dict("records"),
+    )
+    write_text(folder / "replicate.html", page)
+    lines = [
+        f"{'':12}{'studies':>8}{'of 38':>16}" + "".join(f"{e:>8}" for e in EVIDENCE) + f"{'reversed':>10}{'wrong':>8}"
+    ]
+    for group, row in by_group.items():
+        total = row["replicated"]
+        lines.append(
+            f"{group:12}{row['studies']:>8}{total['mean']:>6.1f} [{total['low']:.0f}, {total['high']:.0f}]".ljust(36)
+            + "".join(f"{row[f'replicated_{e}']['mean']:>8.1f}" for e in EVIDENCE)
+            + f"{row['reversed']['mean']:>10.1f}{row['wrongly_significant']['mean']:>8.1f}"
+        )
+    return "\n".join(lines)

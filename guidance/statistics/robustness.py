@@ -1,0 +1,126 @@
+"""Which of the paper's findings hold over many studies: in what share of them, which way, and on what it hangs."""
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+import pandas as pd
+from scipy import stats as scipy_stats
+
+from guidance.statistics.paper import EVIDENCE, compare_with_paper
+from guidance.statistics.tests import run_tests
+
+PAIR = ["id", "family", "metric", "x", "y"]
+KEPT = [*PAIR, "evidence", "paper", "paper_greater", "dz_paper", "p_paper", "outcome", "significant", "greater", "dz"]
+
+
+def outcomes_of(trials: pd.DataFrame, withdrawn: Collection[str] = ()) -> pd.DataFrame:
+    """One study beside the paper: a row per pair of the paper's.
+
+    Args:
+        trials: of one study, as `run_tests` takes them.
+        withdrawn: metrics that do not count.
+
+    Returns:
+        What `compare_with_paper` says, and `dz_toward_paper`, the effect size in the paper's direction (of the
+        findings).
+    """
+    comparison = compare_with_paper(run_tests(trials), withdrawn)[KEPT]
+    sign = np.where(comparison["x"] == comparison["paper_greater"], 1.0, -1.0)
+    return comparison.assign(dz_toward_paper=np.where(comparison["id"] != "", sign * comparison["dz"], np.nan))
+
+
+def scores_of(trials: pd.DataFrame, outcomes: pd.DataFrame) -> dict[str, float]:
+    """One study in a row: what replicates by evidence class, what else is significant, weights, unguided play."""
+    found = outcomes["outcome"]
+    scores = {
+        f"replicated_{evidence}": int((outcomes["evidence"].eq(evidence) & found.eq("replicated")).sum())
+        for evidence in EVIDENCE
+    }
+    scores["replicated"] = sum(scores.values())
+    scores |= {name: int(found.eq(name).sum()) for name in ("reversed", "wrongly_significant")}
+    scores |= {name: trials[f"{name}_mean"].mean() for name in ("w_unc_optimal", "w_unc_user", "w_sim")}
+    unguided = trials.loc[trials["condition"] == "nhg"]
+    return scores | {
+        "win_rate_nhg": unguided["win_rate"].mean(),
+        "round_s_nhg": unguided["duration_s"].sum() / unguided["rounds"].sum(),
+    }
+
+
+def findings_over(outcomes: pd.DataFrame) -> pd.DataFrame:
+    """Each finding over the studies of each group.
+
+    Args:
+        outcomes: rows of `outcomes_of` of many studies, and their `group` and `study`.
+
+    Returns:
+        Per group and finding: `studies`, the shares `replicated` and `reversed`, and the `median`, `low` and `high` (5
+        and 95 %) of the effect size in the paper's direction.
+    """
+    findings = outcomes[outcomes["id"].ne("")]
+    keys = ["group", *PAIR, "evidence", "paper_greater", "dz_paper"]
+    grouped = findings.groupby(keys, sort=False, dropna=False)
+    shares = {
+        name: grouped["outcome"].agg(lambda column, name=name: column.eq(name).mean())
+        for name in ("replicated", "reversed", "withdrawn")
+    }
+    effect = grouped["dz_toward_paper"]
+    quantiles = {name: effect.quantile(q) for name, q in (("median", 0.5), ("low", 0.05), ("high", 0.95))}
+    return pd.DataFrame({"studies": grouped.size(), **shares, **quantiles}).reset_index()
+
+
+def wrong_over(outcomes: pd.DataFrame) -> pd.DataFrame:
+    """Each comparison that the paper did not find significant, per group: the share of studies in which it is."""
+    others = outcomes[outcomes["id"].eq("")]
+    keys = ["group", "family", "metric", "x", "y", "paper"]
+    return others.groupby(keys, sort=False)["outcome"].agg(lambda c: c.eq("wrongly_significant").mean()).reset_index()
+
+
+def ua_over(outcomes: pd.DataFrame) -> pd.DataFrame:
+    """What UA alone changes, (e) against (d), per group: mean effect size of e - d, and its 95 % interval over studies.
+
+    Returns:
+        `group`, `metric`, `studies`, `mean`, `low`, `high`.
+    """
+    pairs = outcomes[outcomes["x"].eq("d") & outcomes["y"].eq("e")]
+    grouped = pairs.groupby(["group", "metric"], sort=False)["dz"]
+    n, mean, error = grouped.count(), -grouped.mean(), grouped.sem()
+    half = error * scipy_stats.t.isf(0.025, (n - 1).where(n > 1))
+    return pd.DataFrame({"studies": n, "mean": mean, "low": mean - half, "high": mean + half}).reset_index()
+
+
+def leans_on(outcomes: pd.DataFrame, factors: pd.DataFrame, strongest: int = 3) -> pd.DataFrame:
+    """Which assumptions each finding's effect leans on.
+
+    Args:
+        outcomes: as for `findings_over`, of the studies of one group.
+        factors: by `study`, the factor of each assumption.
+        strongest: how many to name.
+
+    Returns:
+        Per finding the assumptions with the largest Spearman correlation, in size, between factor and effect in the
+        paper's direction: `parameter`, `correlation`, and `p` with Bonferroni's correction over the assumptions.
+    """
+    rows = []
+    for key, studies in outcomes[outcomes["id"].ne("")].groupby(PAIR, sort=False):
+        effect = studies.set_index("study")["dz_toward_paper"].dropna()
+        if len(effect) < 5 or effect.nunique() < 2:
+            continue
+        here = factors.loc[effect.index]
+        found = [(name, *scipy_stats.spearmanr(here[name], effect)) for name in here]
+        found.sort(key=lambda entry: -abs(entry[1]))
+        rows += [
+            dict(zip(PAIR, key, strict=True))
+            | {"parameter": name, "correlation": rho, "p": min(1.0, p * len(here.columns))}
+            for name, rho, p in found[:strongest]
+        ]
+    return pd.DataFrame(rows, columns=[*PAIR, "parameter", "correlation", "p"])
+
+
+def spread(values: Sequence[float]) -> dict[str, float]:
+    """Mean, and the 5 and 95 % points."""
+    values = np.asarray(values, dtype=float)
+    return {
+        "mean": float(np.nanmean(values)),
+        "low": float(np.nanquantile(values, 0.05)),
+        "high": float(np.nanquantile(values, 0.95)),
+    }

@@ -1,0 +1,117 @@
+"""The trained models a guidance needs, and their files."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.experiment.files import load_tensors, save_tensors, sha256
+from airhockey_marl.league.league import League, require_finite, require_weights
+from airhockey_marl.players.networks import GaussianPolicy
+from guidance.forces.conditions import OPTIMAL
+from guidance.forces.equations import lookahead
+from guidance.user_model.maml import parameters
+from guidance.user_model.rounds import action_ahead
+from guidance.user_model.training import adapt_to_user
+
+
+def save_user_model(path: Path | str, model: GaussianPolicy, facts: dict) -> None:
+    """Write a user prediction model; `facts` (any JSON) travel with it."""
+    save_tensors(path, model.state_dict(), {**facts, **model.facts})
+
+
+def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
+    """Read a user prediction model and its facts.
+
+    Raises:
+        ValueError: the file is missing, broken, or not of the shape it says it is.
+    """
+    tensors, facts = load_tensors(path)
+    try:
+        model = GaussianPolicy.from_facts(facts)
+        require_weights(model, {name: tuple(tensor.shape) for name, tensor in tensors.items()})
+        require_finite(tensors)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    model.load_state_dict(tensors)
+    return model.requires_grad_(False), facts
+
+
+def _require_fact(path: Path | str, facts: dict, name: str, least: float, most: float) -> None:
+    """Refuse a number, if the file has it, that no training writes: NaN, a text, or out of range."""
+    value = facts.get(name, least)
+    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
+        raise ValueError(f"{path}: {name} = {value} must be a number from {least:g} to {most:g}")
+
+
+@dataclass(frozen=True)
+class Models:
+    """What the guidances ask.
+
+    Attributes:
+        optimal: the optimal action model (OAHG).
+        user: the user prediction model for people in general (UPHG without UA).
+        meta: the meta-learned one, to be adapted to a user (UA).
+        inner_lr: alpha of Eq. 1, with which `meta` was trained.
+        ahead: s after the state, at which `user` and `meta` predict the action; 0 in the paper.
+        hashes: SHA-256 of the file of each.
+        device: on which they are asked, see `inference.rows_of`.
+    """
+
+    optimal: GaussianPolicy
+    user: GaussianPolicy
+    meta: GaussianPolicy
+    inner_lr: float
+    hashes: dict[str, str]
+    ahead: float = 0.0
+    device: str = "cpu"
+
+    @classmethod
+    def load(
+        cls, league: Path | str, generation: int, user: Path | str, meta: Path | str, device: str = "cpu"
+    ) -> "Models":
+        """Read the models from their files.
+
+        Raises:
+            ValueError: a file is missing or broken, or the league has no such generation.
+        """
+        (user_model, user_facts), (meta_model, facts) = load_user_model(user), load_user_model(meta)
+        if "inner_lr" not in facts:
+            raise ValueError(f"{meta} was not meta-learned: it has no inner_lr")
+        for path, known in ((meta, facts), (user, user_facts)):
+            _require_fact(path, known, "inner_lr", 0.0, 1e3)
+            _require_fact(path, known, "ahead_s", 0.0, 1.0)
+        ahead = {facts.get("ahead_s", 0.0), user_facts.get("ahead_s", 0.0)}
+        if len(ahead) > 1:
+            raise ValueError(f"{user} and {meta} predict different times ahead, {sorted(ahead)} s")
+        return cls(
+            optimal=League.load(league).player(generation),
+            user=user_model,
+            meta=meta_model,
+            inner_lr=facts["inner_lr"],
+            ahead=ahead.pop(),
+            hashes={"league": sha256(league), "user": sha256(user), "meta": sha256(meta)},
+            device=device,
+        )
+
+    def adapted_to(self, demonstrations: Sequence[tuple[Tensor, Tensor]]) -> TensorDict:
+        """User adaptation (UA, Eq. 1): `meta` after one step on each user's own game.
+
+        Args:
+            demonstrations: per user the observations (ticks, 12) and the actions (ticks, 2) of the game; games differ
+                in length.
+
+        Returns:
+            The adapted parameters, batch size (users,).
+        """
+        theta, table = parameters(self.meta), Table()
+        own = [(x[None], action_ahead(x, y, self.ahead, table)[None]) for x, y in demonstrations]
+        return torch.cat([adapt_to_user(self.meta, theta, x, y, self.inner_lr) for x, y in own])
+
+    def anticipated(self, model: str, state: Tensor, seconds: float) -> Tensor:
+        """The looked-ahead state of Eq. 4, for one of the models: only as far as it does not look ahead itself."""
+        return lookahead(state, seconds if model == OPTIMAL else max(seconds - self.ahead, 0.0))

@@ -1,0 +1,96 @@
+"""What a result rests on: the conditions and files a configuration names, and one hash over all of it."""
+
+import hashlib
+import json
+from importlib.metadata import version
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from omegaconf import DictConfig, OmegaConf
+
+from airhockey_marl.experiment.building import build
+from airhockey_marl.experiment.command import CONF
+from airhockey_marl.experiment.files import sha256
+from airhockey_marl.league.league import League
+from airhockey_marl.players.inference import steady
+from airhockey_marl.players.players import Player
+from guidance.forces.conditions import Condition
+from guidance.study.models import Models
+
+FROZEN = Path(__file__).parent / "frozen.json"  # study_hash and seed of the study
+VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas", "pingouin")
+THE_STUDY = ("users", "guidance", "study", "participants", "opponent")  # with the models, what makes it another one
+
+
+def chosen_conditions(cfg: DictConfig) -> list[Condition]:
+    """The condition of the configuration; without one, all of `conf/condition`, in the order of their letters.
+
+    With `beyond` those of `conf/condition/beyond` as well, which are not the paper's.
+
+    Raises:
+        ValueError: a condition is not valid, or two have the same letter.
+    """
+    if cfg.get("condition") is not None:
+        return [build(cfg.condition)]
+    nodes = [OmegaConf.load(path) for path in (CONF / "condition").glob("**/*.yaml" if cfg.get("beyond") else "*.yaml")]
+    for node in nodes:
+        node._set_parent(cfg)  # what a condition refers to, as ${guidance.spring}, is in the configuration
+    conditions = sorted((build(node) for node in nodes), key=lambda condition: condition.letter)
+    for one, other in pairwise(conditions):
+        if one.letter == other.letter:
+            raise ValueError(f"condition.letter = {one.letter} is that of {one.name} and of {other.name}")
+    return conditions
+
+
+def chosen_models(cfg: DictConfig, device: str = "cpu") -> Models:
+    """The models of the configuration, to be asked on `device`.
+
+    Raises:
+        ValueError: a file is missing or broken, or the league has no such generation.
+    """
+    files = cfg.models
+    return Models.load(files.league, files.get("generation", -1), files.user, files.meta, device)
+
+
+def chosen_opponent(cfg: DictConfig, device: str = "cpu") -> Player:
+    """The opponent of the configuration, which plays the mean of what it says, asked on `device`.
+
+    Raises:
+        ValueError: the file is missing or broken, or the league has no such generation.
+    """
+    return steady(League.load(cfg.models.opponents).player(cfg.opponent), device)
+
+
+def hashes_of(cfg: DictConfig, models: Models) -> dict[str, str]:
+    """SHA-256 of every file that a study rests on, by what it is for."""
+    files = {"opponents": cfg.models.opponents, "mentors": cfg.users.mentors}
+    return models.hashes | {name: sha256(path) for name, path in files.items() if path is not None}
+
+
+def study_hash(cfg: DictConfig, hashes: dict[str, str]) -> str:
+    """The same for runs that may be merged: all that makes a study, but its seed and which conditions are played."""
+    config = OmegaConf.to_container(cfg, resolve=True)
+    shared = {key: config[key] for key in THE_STUDY}
+    shared["users"] = {key: value for key, value in shared["users"].items() if key != "mentors"}  # hashed, like models
+    return hashlib.sha256(json.dumps([shared, hashes], sort_keys=True).encode()).hexdigest()
+
+
+def frozen_study() -> dict[str, Any]:
+    """`study_hash` and `seed` of the study that was fixed before any condition was compared."""
+    return json.loads(FROZEN.read_text(encoding="utf-8"))
+
+
+def manifest(cfg: DictConfig, hashes: dict[str, str], command_line: str, seconds: float) -> dict:
+    """What a result came from; `frozen` says whether its configuration, models and seed are the frozen study's."""
+    digest, fixed = study_hash(cfg, hashes), frozen_study()
+    return {
+        "command": command_line,
+        "seed": cfg.seed,
+        "study_hash": digest,
+        "frozen": (digest, cfg.seed) == (fixed["study_hash"], fixed["seed"]),
+        "models": hashes,
+        "versions": {name: version(name) for name in VERSIONS},
+        "seconds": round(seconds, 1),
+        "config": OmegaConf.to_container(cfg, resolve=True),
+    }

@@ -1,0 +1,184 @@
+"""A row per tick of one person's game: what they saw, what the models said, how they were pushed, what they did.
+
+Films are drawn from such a table, replays are played from it, and user adaptation learns from it.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from guidance.forces.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidance, Guided, Target
+from guidance.haptics.seat import Hand
+from guidance.simulated_users.arm import HAND_REACH
+from guidance.study.batched_guidance import Guide
+from guidance.study.games import Tick
+from guidance.study.models import Models
+
+STATE = [f"{body}_{part}" for body in ("own", "other", "puck") for part in ("x", "y", "vx", "vy")]
+ACTION = ["action_x", "action_y"]
+_PADDLES = {
+    f"{body}_{part}": (f"{what}, {axis} of its {of}", unit)
+    for body, what in (("own", "the own paddle"), ("other", "the opponent's paddle"), ("puck", "the puck"))
+    for part, axis, of, unit in (
+        ("x", "x", "place: from the table's centre toward the opponent", "m"),
+        ("y", "y", "place: to the left", "m"),
+        ("vx", "x", "velocity", "m/s"),
+        ("vy", "y", "velocity", "m/s"),
+    )
+}
+_TARGETS = {
+    f"{model}{part}_{axis}": (f"what {who} says of the looked-ahead state: {what} of the action, {axis}", "action")
+    for model, who in (
+        ("optimal", "the optimal action model"),
+        ("predicted", "the user model, adapted if there is one"),
+    )
+    for part, what in (("", "mean"), ("_std", "STD"))
+    for axis in "xy"
+}
+_MEANINGS = {
+    "time_s": ("time at the tick's end since the game, or its familiarisation, began", "s"),
+    "scored": ("1 in the game itself, 0 in the familiarisation before it", "1"),
+    "round": ("number of the round, from 1", "1"),
+    "won": ("rounds that the person has won, with this tick", "1"),
+    "lost": ("rounds that the opponent has won, with this tick", "1"),
+    "goal": ("1 if the person scored in this tick, -1 if the opponent did, else 0", "1"),
+    "held": ("1 if the hand was at the device", "1"),
+    "hand_x": ("where the hand was, from the centre of its workspace toward the opponent", "m"),
+    "hand_y": ("where the hand was, to the left", "m"),
+    **_PADDLES,
+    **_TARGETS,
+    "w_unc_optimal": ("W_unc of the optimal action model (Eq. 5), where the guidance has it", "1"),
+    "w_unc_predicted": ("W_unc of the user model (Eq. 5), where the guidance has it", "1"),
+    "w_sim": ("W_sim (Eq. 7), where the guidance has it", "1"),
+    "force_x": ("the guidance's force on the hand, held for the tick, toward the opponent", "N"),
+    "force_y": ("the guidance's force on the hand, to the left", "N"),
+    "felt_x": ("what the hand felt at the tick's end, after the safety layer, toward the opponent", "N"),
+    "felt_y": ("the same, to the left", "N"),
+    "action_x": ("where the hand was at the tick's end, over its reach: the action", "1"),
+    "action_y": ("the same to the left", "1"),
+}
+COLUMNS = MappingProxyType(
+    {name: {"Description": meaning, "Units": unit} for name, (meaning, unit) in _MEANINGS.items()}
+)
+"""What the columns mean; all but those about the goal and the action are of the beginning of the tick."""
+
+
+@dataclass
+class Overheard:
+    """A guidance whose targets can be looked at: it keeps the last ones, and asks models that it may not need."""
+
+    guidance: Guidance
+    asked: frozenset[str]
+    targets: Mapping[str, Target] = field(default_factory=dict)
+
+    def models(self) -> frozenset[str]:
+        return self.guidance.models() | self.asked
+
+    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
+        self.targets = targets
+        return self.guidance(action, targets)
+
+    @property
+    def optimal(self) -> Target:
+        """What the optimal action model said last, (1, 2) each."""
+        return self.targets[OPTIMAL]
+
+    @property
+    def predicted(self) -> Target:
+        """What the user model said last, the adapted one if it was asked."""
+        return self.targets[ADAPTED if ADAPTED in self.targets else USER]
+
+
+def scene_facts(condition: Condition, player: str, opponent: str, adapted: bool) -> dict[str, Any]:
+    """What a film of a game under a condition says about it, see `guidance.display.film.Scene`; plain JSON."""
+    used = sorted({"optimal" if model == OPTIMAL else "predicted" for model in condition.guidance.models()})
+    return {"title": condition.label, "player": player, "opponent": opponent, "used": used, "adapted": adapted}
+
+
+def overheard_guide(
+    condition: Condition, models: Models, adapted: TensorDict | None, lookahead_seconds: float
+) -> tuple[Guide, Overheard]:
+    """The `Guide` of one person under one condition, and where its targets can be looked at.
+
+    Args:
+        adapted: their own parameters of the user model, batch size (1,), if they have any.
+    """
+    overheard = Overheard(condition.guidance, frozenset({OPTIMAL, USER if adapted is None else ADAPTED}))
+    return Guide([replace(condition, guidance=overheard)], 1, models, adapted, lookahead_seconds), overheard
+
+
+class TickLog:
+    """Writes down the ticks of one person's game.
+
+    Args:
+        tick_seconds: s.
+        hand: whose force and grip are written down; where nothing is between guidance and hand, None.
+
+    Attributes:
+        rows: one per tick, see `COLUMNS`; those that have not been taken.
+        time, round, won, lost, scored: how it stands.
+    """
+
+    def __init__(self, overheard: Overheard, tick_seconds: float, hand: Hand | None = None) -> None:
+        self.overheard, self.tick_seconds, self.hand, self.rows = overheard, tick_seconds, hand, []
+        self.time, self.round, self.won, self.lost, self.scored = 0.0, 1, 0, 0, False
+
+    def __call__(self, tick: Tick, scored: bool, ended: bool) -> dict[str, float]:
+        """Write down a tick of a game that counts or not, and whether the round ended with it; returns its row."""
+        if scored and not self.scored:
+            self.time, self.round, self.won, self.lost, self.scored = 0.0, 1, 0, 0, True
+        goal = int(tick.goals[0])
+        self.time += self.tick_seconds
+        self.won, self.lost = self.won + (goal > 0), self.lost + (goal < 0)
+        row: dict[str, float] = {"time_s": round(self.time, 6), "scored": int(scored), "round": self.round}
+        row |= {"won": self.won, "lost": self.lost, "goal": goal}
+        row |= {"held": 1 if self.hand is None else int(self.hand.held)}
+        optimal, predicted = self.overheard.optimal, self.overheard.predicted
+        pairs = {"hand": HAND_REACH * tick.before[0], "optimal": optimal.mean[0], "optimal_std": optimal.std[0]}
+        pairs |= {"predicted": predicted.mean[0], "predicted_std": predicted.std[0]}
+        force = tick.guided.force[0]
+        pairs |= {"force": force, "felt": force if self.hand is None else self.hand.force, "action": tick.action[0]}
+        row |= {
+            f"{name}_{axis}": float(value)
+            for name, pair in pairs.items()
+            for axis, value in zip("xy", pair, strict=True)
+        }
+        row |= dict(zip(STATE, tick.state[0].tolist(), strict=True))
+        weights = zip(("w_unc_optimal", "w_unc_predicted", "w_sim"), tick.guided[1:], strict=True)
+        row |= {name: float("nan") if weight is None else float(weight[0]) for name, weight in weights}
+        self.rows.append({name: row[name] for name in COLUMNS})
+        self.round += ended
+        return self.rows[-1]
+
+    def take(self) -> list[dict[str, float]]:
+        """The rows that have not been taken yet."""
+        rows, self.rows = self.rows, []
+        return rows
+
+
+def read_ticks(file: Path | str) -> pd.DataFrame:
+    """The table of a game that was recorded.
+
+    Raises:
+        ValueError: it is missing, or lacks a column of `COLUMNS`; the message names the file.
+    """
+    if not Path(file).is_file():
+        raise ValueError(f"no such file: {file}")
+    ticks = pd.read_csv(file, sep="\t", na_values=["n/a"], float_precision="round_trip")
+    if absent := [name for name in COLUMNS if name not in ticks]:
+        raise ValueError(f"{file} lacks the columns {', '.join(absent)}")
+    return ticks
+
+
+def demonstration(ticks: pd.DataFrame) -> tuple[Tensor, Tensor]:
+    """What user adaptation learns from: observations (ticks, 12) and actions (ticks, 2), float32, of what counted."""
+    counted = ticks[ticks["scored"] == 1]
+    return tuple(torch.from_numpy(counted[names].to_numpy(dtype=np.float32, copy=True)) for names in (STATE, ACTION))

@@ -1,0 +1,192 @@
+"""Training the user prediction model: its loss (Eq. 3), with and without meta-learning, and user adaptation (UA).
+
+The model is any module that maps a game state (..., 12) to the mean (..., 2) and the standard deviation (..., 2) of the
+user's next action. Both trainers change it in place and are generators: one epoch a step, nothing before the first
+``next``, and what each epoch measured in a dict, for a progress bar or a log::
+
+    for metrics in train_maml(model, demonstrations, generator=generator):
+        log(metrics)
+
+Source: section 3.2.3 of the paper.
+"""
+
+import math
+from collections.abc import Iterator
+from functools import partial
+
+import torch
+from tensordict import TensorDict
+from torch import Tensor, nn
+from torch.func import grad_and_value
+
+from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors
+from guidance.user_model.data import Demonstrations, Samples
+from guidance.user_model.loss import prediction_loss
+from guidance.user_model.maml import adapt_each, forward, meta_loss, parameters
+
+"""Observations (..., n, 12) and the actions (..., n, 2) taken on them."""
+
+
+def train_supervised(
+    model: nn.Module,
+    data: Demonstrations,
+    epochs: int = 100,
+    batch_size: int = 1000,
+    lr: float = 1e-3,
+    generator: torch.Generator | None = None,
+    optimizer: torch.optim.Adam | None = None,
+    done: int = 0,
+) -> Iterator[dict[str, float]]:
+    """Trains one model for all users, without UA: Adam on Eq. 3.
+
+    Args:
+        model: state (..., 12) to mean and STD; changed in place.
+        data: demonstrations of all users, taken together.
+        epochs: passes over the data.
+        batch_size: ticks of an update, drawn from all users and games.
+        lr: learning rate of Adam.
+        generator: source of the shuffling; the global one if None.
+        optimizer, done: to go on with a training after so many epochs, with its own Adam.
+
+    Yields:
+        After each epoch ``epoch`` (from 1) and ``loss``, the mean over its ticks, measured while the model changed.
+
+    Raises:
+        ValueError: ``epochs``, ``batch_size`` or ``lr`` is out of range.
+        FloatingPointError: the loss or its gradient is no longer finite.
+    """
+    _require_schedule(epochs, done, lr)
+    check_counts(batch_size=batch_size)
+    optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
+    for epoch in range(done + 1, epochs + 1):
+        total, ticks = 0.0, 0
+        for observation, action in data.batches(batch_size, generator):
+            mean, std = model(observation)
+            loss = prediction_loss(mean, std, action)
+            optimizer.zero_grad()
+            loss.backward()
+            _step(optimizer, loss, epoch)
+            total, ticks = total + loss.item() * len(action), ticks + len(action)
+        yield {"epoch": epoch, "loss": total / ticks}
+
+
+def train_maml(
+    model: nn.Module,
+    data: Demonstrations,
+    epochs: int = 200,
+    block: int = 1000,
+    inner_lr: float = 0.1,
+    lr: float = 1e-3,
+    steps: int = 1,
+    first_order: bool = False,
+    max_norm: float = math.inf,
+    compiled: bool = False,
+    generator: torch.Generator | None = None,
+    optimizer: torch.optim.Adam | None = None,
+    done: int = 0,
+) -> Iterator[dict[str, float]]:
+    """Trains the parameters from which one gradient step adapts to a user: Adam on Eq. 2.
+
+    A meta-step takes two blocks of every user. The paper does not define an epoch; here it is the meta-steps that use
+    every block once: 360K ticks / (9 users x 2 x 1K) = 20.
+
+    Args:
+        model: state (..., 12) to mean and STD; changed in place, to theta.
+        data: demonstrations of all users, two games or more each.
+        epochs: passes over the data.
+        block: ticks of D_demo and of D_valid of a user in a meta-step.
+        inner_lr: alpha of Eq. 1.
+        lr: learning rate of Adam.
+        steps: inner gradient steps.
+        first_order: leave the second derivatives out.
+        max_norm: the norm, over all parameters, to which the gradient of Eq. 2 is clipped. The paper mentions no
+            clipping, hence inf. But once the STD is small, 1 / ||sigma||^2 makes an inner step of 0.1 steep and the
+            meta-gradient now and then a hundred times its median, which throws training back; try 10.
+        compiled: let torch.compile fuse the meta-step, which takes a C++ compiler and, once, some 15 s; the results
+            differ in the last bits.
+        generator: source of the pairing; the global one if None.
+        optimizer, done: to go on with a training after so many epochs, with its own Adam.
+
+    Yields:
+        After each epoch ``epoch`` (from 1), ``loss``, the mean over users and meta-steps of L(theta_adapt, D_valid),
+        and ``loss_before``, the same without adaptation, L(theta, D_valid); both measured while the model changed.
+
+    Raises:
+        ValueError: a number is out of range, or the data have fewer than two games a user.
+        FloatingPointError: the loss or its gradient is no longer finite.
+    """
+    _require_schedule(epochs, done, lr)
+    check_counts(steps=steps)
+    check_numbers(above=0.0, inner_lr=inner_lr)
+    if not max_norm > 0:
+        raise ValueError(f"max_norm: {max_norm}, must be positive, inf for no clipping")
+    optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
+    params, objective, users = parameters(model), partial(_data_loss, model), len(data.action)
+
+    def eq2(theta: TensorDict, demo: Samples, valid: Samples) -> Tensor:
+        return meta_loss(theta, objective, demo, valid, inner_lr, steps, first_order)
+
+    if compiled:
+        torch.compiler.reset()  # else a sweep over sizes in one process would end up uncompiled
+    fused = torch.compile(grad_and_value(eq2)) if compiled else None
+    for epoch in range(done + 1, epochs + 1):
+        after, before = [], []
+        for demo, valid in data.pairs(block, generator):
+            with torch.no_grad():
+                before.append(objective(params, valid).item())
+            optimizer.zero_grad()
+            if fused is None:
+                loss = eq2(params, demo, valid)
+                loss.backward()
+            else:
+                gradient, loss = fused(params.detach(), demo, valid)
+                for name, parameter in model.named_parameters():
+                    parameter.grad = gradient[tuple(name.split("."))]
+            _step(optimizer, loss, epoch, max_norm)
+            after.append(loss.item() / users)
+        yield {"epoch": epoch, "loss": sum(after) / len(after), "loss_before": sum(before) / len(before)}
+
+
+@torch.no_grad()
+def adapt_to_user(
+    model: nn.Module, params: TensorDict, observation: Tensor, action: Tensor, lr: float, steps: int = 1
+) -> TensorDict:
+    """User adaptation (UA): Eq. 1 for each of many users at once.
+
+    Args:
+        model: state (..., 12) to mean and STD; not changed.
+        params: theta, the meta-trained parameters, usually ``parameters(model)``; not changed.
+        observation: states of D_demo, (users, ticks, 12).
+        action: actions of D_demo, (users, ticks, 2).
+        lr: alpha, the inner learning rate ``params`` were trained for.
+        steps: gradient steps, likewise; one in the paper.
+
+    Returns:
+        Each user's parameters, batch size (users,), without a graph; for :func:`guidance.user_model.maml.forward_each`, or
+        ``adapted[i]`` for one user.
+
+    Raises:
+        ValueError: a shape is wrong, or ``lr`` or ``steps`` is out of range.
+    """
+    check_tensors(observation=(observation, "users ticks 12"), action=(action, "users ticks 2"))
+    return adapt_each(params, partial(_data_loss, model), (observation, action), lr, steps)
+
+
+def _data_loss(model: nn.Module, params: TensorDict, data: Samples) -> Tensor:
+    """L(theta, D)."""
+    observation, action = data
+    mean, std = forward(model, params, observation)
+    return prediction_loss(mean, std, action)
+
+
+def _step(optimizer: torch.optim.Optimizer, loss: Tensor, epoch: int, max_norm: float = math.inf) -> None:
+    norm = nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], max_norm)
+    if not (loss.isfinite() and norm.isfinite()):  # before the step: the model is left as it last was
+        raise FloatingPointError(f"loss: {loss.item()}, gradient {norm.item()} in epoch {epoch}, must be finite")
+    optimizer.step()
+
+
+def _require_schedule(epochs: int, done: int, lr: float) -> None:
+    check_counts(epochs=epochs)
+    check_counts(0, done=done)
+    check_numbers(above=0.0, lr=lr)

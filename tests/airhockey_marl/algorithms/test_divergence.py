@@ -1,0 +1,177 @@
+"""Learning that has gone wrong is stopped with the reason, whatever the algorithm, and the last good state stays."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from tensordict import TensorDict
+
+from airhockey_marl.algorithms.divergence import require_finite_parts, require_sound, stopping
+from airhockey_marl.algorithms.trpo import TrustRegion
+from airhockey_marl.commands import train
+from airhockey_marl.experiment.building import build
+from airhockey_marl.experiment.command import CONF
+from airhockey_marl.experiment.files import load_tensors
+from airhockey_marl.players.networks import GaussianPolicy
+from guidance.commands import meta_train
+from guidance.user_model.data import Demonstrations
+from guidance.user_model.training import train_maml, train_supervised
+
+SOUND = {"kl": 0.01, "std": 0.3, "critic_loss": 1.0}
+
+
+def test_what_is_sound_passes():
+    require_sound(SOUND)
+    require_sound({"q_loss": 0.0, "std": 0.001})
+    require_finite_parts({"policy": GaussianPolicy([4])})
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"critic_loss": math.nan}, r"update/critic_loss = nan: learning has diverged"),
+        ({"q_loss": math.inf}, r"update/q_loss = inf"),
+        ({"kl": 11.0}, r"update/kl = 11 nats in one update, must be at most 10"),
+        ({"kl": math.nan}, r"update/kl = nan"),
+        ({"std": 0.0}, r"update/std = 0: the policy is dead"),
+        ({"std": 1.0}, r"update/std = 1: the policy is dead"),
+    ],
+)
+def test_what_is_not_is_named(change, message):
+    with pytest.raises(FloatingPointError, match=message):
+        require_sound(SOUND | change)
+
+
+def test_weights_and_memories_are_looked_at():
+    policy = GaussianPolicy([4])
+    optimizer = torch.optim.Adam(policy.parameters())
+    policy(torch.zeros(2, 12))[0].sum().backward()
+    optimizer.step()
+    require_finite_parts({"policy": policy, "optimizer": optimizer})
+    optimizer.state[policy.head.bias]["exp_avg"][1] = math.nan
+    with pytest.raises(FloatingPointError, match=r"optimizer\.3\.exp_avg has values that are not finite"):
+        require_finite_parts({"policy": policy, "optimizer": optimizer})
+    policy.head.weight.data[0, 0] = math.inf
+    with pytest.raises(FloatingPointError, match=r"policy\.head\.weight has values"):
+        require_finite_parts({"policy": policy})
+
+
+def test_what_is_left_is_said(tmp_path):
+    for file, left in ((tmp_path / "none", "nothing was written yet"), (tmp_path, "nothing was written yet")):
+        with (
+            pytest.raises(FloatingPointError, match=f"stopped in generation 3: gone; {left}"),
+            stopping("generation 3", file),
+        ):
+            raise FloatingPointError("gone")
+
+
+def play_with(value: float) -> TensorDict:
+    """A batch in which one reward, or one observation, is no number."""
+    generator = torch.Generator().manual_seed(0)
+    shape = (4, 32)
+    view = TensorDict(
+        {
+            "observation": torch.randn(*shape, 12, generator=generator),
+            "action": torch.randn(*shape, 2, generator=generator).clamp(-1, 1),
+            "next": {
+                "observation": torch.randn(*shape, 12, generator=generator),
+                "reward": torch.zeros(*shape, 1),
+                **{name: torch.zeros(*shape, 1, dtype=torch.bool) for name in ("done", "terminated", "truncated")},
+            },
+        },
+        shape,
+    )
+    view["next", "reward"][1, 5] = value
+    return view
+
+
+@pytest.mark.parametrize("algorithm", ["trpo", "ppo", "sac"])
+def test_every_algorithm_shows_a_reward_that_is_no_number(algorithm):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        overrides = [f"algorithm={algorithm}", "+preset=smoke"]
+        cfg = compose("train", overrides=overrides)
+    if algorithm == "sac":
+        cfg.algorithm.updates, cfg.algorithm.minibatch, cfg.algorithm.capacity = 20, 64, 1000
+    torch.manual_seed(0)
+    policy = GaussianPolicy([8], "paddle")
+    learner = build(cfg.algorithm).learner(policy, 0.99)
+    require_sound(learner.update(play_with(0.0)))
+    require_finite_parts({"policy": policy, **learner.parts()})
+    with pytest.raises((FloatingPointError, ValueError), match=r"nan|not finite"):
+        require_sound(learner.update(play_with(math.nan)))
+        require_finite_parts({"policy": policy, **learner.parts()})
+
+
+def test_trpo_takes_no_step_of_which_it_cannot_say_where_it_leads():
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        settings = build(compose("train").algorithm)
+    learner = TrustRegion(settings, GaussianPolicy([8]), 0.99)
+    before = [parameter.clone() for parameter in learner.policy.parameters()]
+    observation, action = torch.randn(50, 12), torch.randn(50, 2)
+    metrics = learner.improve_policy(observation, action, torch.full((50,), math.nan))
+    assert metrics["step"] == 0.0  # counted: the mean of `step` is the share of updates
+    assert all(torch.equal(a, b) for a, b in zip(before, learner.policy.parameters(), strict=True))
+
+
+def test_a_training_that_diverges_ends_in_one_line_with_its_last_good_state(tmp_path, monkeypatch, capsys):
+    """In its third generation rewards become NaN; what the second had written is as it was."""
+    few = ["+preset=smoke", "generations=4", "steps_per_generation=500", f"hydra.run.dir={tmp_path}/run"]
+    update, calls, kept = TrustRegion.update, [], {}
+
+    def spoiled(self, view):
+        calls.append(1)
+        if len(calls) == 3:
+            kept.update({path.name: path.read_bytes() for path in (tmp_path / "run").glob("*.safetensors")})
+            view["next", "reward"][0, 0] = math.nan
+        return update(self, view)
+
+    monkeypatch.setattr(TrustRegion, "update", spoiled)
+    monkeypatch.setattr(sys, "argv", ["train", *few])
+    with pytest.raises(SystemExit) as stopped:
+        train.main()
+    said = capsys.readouterr().err
+    assert stopped.value.code == 1 and said.startswith("error: stopped in generation 3: update/critic_loss = nan"), said
+    assert said.count("\n") == 1 and said.strip().endswith(
+        f"{tmp_path}/run/state.safetensors holds the last good state"
+    )
+    assert kept == {path.name: path.read_bytes() for path in (tmp_path / "run").glob("*.safetensors")}
+    assert load_tensors(tmp_path / "run" / "state.safetensors")[1]["generation"] == 2
+    monkeypatch.setattr(TrustRegion, "update", update)
+    monkeypatch.setattr(sys, "argv", ["train", f"resume={tmp_path}/run", f"hydra.run.dir={tmp_path}/log"])
+    train.main()
+    assert (tmp_path / "run" / "card.json").is_file()
+
+
+@pytest.mark.parametrize("training", [train_maml, train_supervised])
+@pytest.mark.parametrize("spoil", [1e30, -1e30])
+def test_user_models_that_diverge_are_left_as_they_last_were(training, spoil):
+    generator = torch.Generator().manual_seed(0)
+    observation = torch.randn(2, 2, 60, 12, generator=generator)
+    data = Demonstrations(observation, torch.full((2, 2, 60, 2), spoil))
+    model = GaussianPolicy([8])
+    before = [parameter.clone() for parameter in model.parameters()]
+    size = {"block": 20} if training is train_maml else {"batch_size": 20}
+    with pytest.raises(FloatingPointError, match="must be finite"):
+        list(training(model, data, epochs=2, **size))
+    assert all(torch.equal(a, b) for a, b in zip(before, model.parameters(), strict=True))
+
+
+def test_a_meta_training_that_diverges_ends_in_one_line(tmp_path, monkeypatch, capsys):
+    whole = meta_train.train_maml
+
+    def spoiled(*arguments, **options):
+        for metrics in whole(*arguments, **options):
+            yield metrics
+            raise FloatingPointError("loss: nan, gradient nan in epoch 2, must be finite")
+
+    monkeypatch.setattr(meta_train, "train_maml", spoiled)
+    monkeypatch.setattr(sys, "argv", ["meta_train", "+preset=smoke", f"hydra.run.dir={tmp_path}/run"])
+    with pytest.raises(SystemExit) as stopped:
+        meta_train.main()
+    said = capsys.readouterr().err
+    assert stopped.value.code == 1 and "error: stopped in maml training: loss: nan, gradient nan" in said, said
+    facts = load_tensors(tmp_path / "run" / "state.safetensors")[1]
+    assert facts["done"] == {"maml": 1, "supervised": 0} and np.isfinite(facts["seconds"])

@@ -1,0 +1,59 @@
+"""Shaping cannot change the optimum: over any path it adds nothing but the potential of where the path begins."""
+
+import pytest
+import torch
+
+from airhockey_marl.algorithms.reward_shaping import Shaping, on_goal
+
+SHAPING = Shaping(position=0.3, velocity=0.6, shot=0.4, approach=0.6)
+
+
+def path(ticks: int) -> torch.Tensor:
+    return torch.randn(ticks + 1, 12, generator=torch.Generator().manual_seed(0))
+
+
+def test_discounted_rewards_telescope_to_the_first_potential():
+    gamma, seen = 0.98, path(50)
+    terminated = torch.zeros(50, 1, dtype=torch.bool)
+    terminated[-1] = True
+    rewards = SHAPING.reward(seen[:-1], seen[1:], terminated, gamma)
+    total = (gamma ** torch.arange(50)[:, None] * rewards).sum()
+    assert total.item() == pytest.approx(-SHAPING.potential(seen[:1]).item(), abs=1e-5)
+
+
+def test_the_potential_prefers_what_it_says():
+    state = torch.zeros(12)
+    state[0], state[8] = -0.5, -0.3  # paddle and puck on the own side
+
+    def better(index: int, value: float) -> bool:
+        changed = state.clone()
+        changed[index] = value
+        return bool(SHAPING.potential(changed) > SHAPING.potential(state))
+
+    assert better(10, 2.0) and not better(10, -2.0)  # the puck moves toward the opponent
+    assert better(0, -0.38) and not better(0, -0.1)  # the paddle comes behind the puck, not before it
+    assert Shaping(1.0, 0.0, 0.0, 0.0).potential(state) < Shaping(1.0, 0.0, 0.0, 0.0).potential(
+        state.index_fill(0, torch.tensor(8), 0.5)
+    )
+
+
+SIDE = 1.038 / 2 - 0.03165  # m, where the puck's centre turns back
+
+
+@pytest.mark.parametrize(
+    ("puck", "aim"),
+    [
+        ((0.0, 0.0, 3.0, 0.0), 1.0),  # straight at the opponent's goal
+        ((0.0, 0.0, -3.0, 0.0), 1.0),  # and at one's own
+        ((0.0, 0.125, 2.0, 0.0), 0.368),  # at a post
+        ((0.0, 0.4, 2.0, 0.0), 0.0),
+        ((0.5, 0.2, 2.0, -0.2 / 0.474 * 2), 1.0),  # across
+        ((0.0, 0.0, 1.0, 4 * SIDE / 0.974), 1.0),  # over both side walls
+        ((0.0, 0.0, 1.0, 2 * SIDE / 0.974), 1.0),  # over one, as in a mirror
+        ((0.0, SIDE / 2, 1.0, 2 * SIDE / 0.974), 0.0224),
+    ],
+)
+def test_a_shot_is_aimed_where_its_path_ends(puck, aim):
+    state = torch.zeros(3, 12)
+    state[:, 8:] = torch.tensor(puck)
+    assert on_goal(state).squeeze(-1).tolist() == pytest.approx([aim] * 3, abs=1e-3)

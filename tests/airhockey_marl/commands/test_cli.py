@@ -1,0 +1,337 @@
+"""The commands as people run them: whole, on tiny budgets, and with everything that can be typed wrong."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pandas as pd
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+from airhockey_marl.commands import league_report, train
+from airhockey_marl.evaluation import comparison as compare
+from airhockey_marl.experiment.command import CONF
+from airhockey_marl.experiment.files import load_tensors, save_tensors
+from airhockey_marl.players.networks import GaussianPolicy
+from guidance.commands import collect, evaluate, meta_train
+from guidance.commands import validate_users as battery
+from guidance.statistics import report
+from guidance.study.models import Models
+from guidance.study.provenance import hashes_of, manifest
+from tests import ROOT
+
+COMMANDS = {
+    "train": train,
+    "league_report": league_report,
+    "compare": compare,
+    "meta_train": meta_train,
+    "evaluate": evaluate,
+    "report": report,
+    "battery": battery,
+    "collect": collect,
+}
+
+
+def start(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess:
+    return subprocess.run(
+        [sys.executable, "-m", *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300, check=False
+    )
+
+
+def kill_at_the_first_checkpoint(run: Path, *arguments: str) -> Path:
+    """Start a command with `run` as its folder, and end it with SIGKILL as soon as it has written its state."""
+    command = [sys.executable, "-m", *arguments, f"hydra.run.dir={run}"]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    while not (run / "state.safetensors").exists():
+        assert process.poll() is None
+        time.sleep(0.001)
+    process.send_signal(signal.SIGKILL)
+    process.wait()
+    assert not (run / "card.json").exists()
+    return run
+
+
+def smoke(*arguments: str) -> subprocess.CompletedProcess:
+    done = start(*arguments, "+preset=smoke")
+    assert done.returncode == 0, done.stderr
+    return done
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory) -> dict[str, Path]:
+    """A league and user models from the commands themselves."""
+    folder = tmp_path_factory.mktemp("trained")
+    smoke("airhockey_marl.train", f"hydra.run.dir={folder}/train")
+    league = folder / "train" / "league.safetensors"
+    smoke("guidance.commands.meta_train", f"models.opponents={league}", "opponent=1", f"hydra.run.dir={folder}/meta")
+    return {"league": league, "user": folder / "meta/user.safetensors", "meta": folder / "meta/meta.safetensors"}
+
+
+@pytest.fixture(scope="module")
+def models(trained) -> list[str]:
+    return [*(f"models.{name}={path}" for name, path in trained.items()), "opponent=1"]
+
+
+def test_train_writes_a_league_a_card_and_what_tensorboard_reads(trained):
+    folder = trained["league"].parent
+    tensors, facts = load_tensors(trained["league"])
+    assert facts == {"hidden": [64, 64], "inputs": "paddle"} and {len(tensor) for tensor in tensors.values()} == {3}
+    card = json.loads((folder / "card.json").read_text())
+    assert card["generations"] == 3 and card["steps"] == 2000 and len(set(card["hashes"])) == 3
+    assert list(folder.glob("tensorboard/events*"))
+
+
+def test_train_gives_the_same_weights_for_the_same_seed(trained, tmp_path):
+    smoke("airhockey_marl.train", f"hydra.run.dir={tmp_path}")
+    first, second = (json.loads((f / "card.json").read_text()) for f in (trained["league"].parent, tmp_path))
+    assert first["hashes"] == second["hashes"]
+
+
+def test_train_learns_from_pettingzoo_what_it_learns_from_the_batch(trained, tmp_path):
+    smoke("airhockey_marl.train", "env=pettingzoo", f"hydra.run.dir={tmp_path}")
+    first, second = (json.loads((f / "card.json").read_text()) for f in (trained["league"].parent, tmp_path))
+    assert first["hashes"] == second["hashes"]
+
+
+@pytest.mark.parametrize("how", ["env=batched", "env=pettingzoo", "collector=multisync"])
+def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, how):
+    """SIGKILL as soon as the first generation is behind it; the league and the card's scores are then the same."""
+    few = ["+preset=smoke", "generations=4", "steps_per_generation=500", how]
+    whole = start("airhockey_marl.train", *few, f"hydra.run.dir={tmp_path}/whole")
+    assert whole.returncode == 0, whole.stderr
+    killed = kill_at_the_first_checkpoint(tmp_path / "killed", "airhockey_marl.train", *few)
+    resumed = start("airhockey_marl.train", f"resume={killed}", f"hydra.run.dir={tmp_path}/log")
+    assert resumed.returncode == 0, resumed.stderr
+    first, second = (json.loads((tmp_path / name / "card.json").read_text()) for name in ("whole", "killed"))
+    assert first["hashes"] == second["hashes"] and len(first["hashes"]) == 5
+    assert first["win_rate_of_last_against"] == second["win_rate_of_last_against"]
+    matches, resumed_matches = ((tmp_path / name / "matches.csv").read_bytes() for name in ("whole", "killed"))
+    assert matches == resumed_matches
+    assert scalars(tmp_path / "whole") == scalars(killed)
+    shown = pictures(killed)
+    assert shown == pictures(tmp_path / "whole") and [len(images) for images in shown.values()] == [4, 4]
+
+
+def test_meta_train_killed_and_resumed_ends_like_one_never_killed(trained, tmp_path):
+    """SIGKILL in the first training, and resume; then the weights, the scores and the scalars are the same."""
+    few = [
+        "+preset=smoke",
+        f"models.opponents={trained['league']}",
+        "opponent=1",
+        "maml.epochs=6",
+        "supervised.epochs=3",
+    ]
+    whole = start("guidance.commands.meta_train", *few, f"hydra.run.dir={tmp_path}/whole")
+    assert whole.returncode == 0, whole.stderr
+    killed = kill_at_the_first_checkpoint(tmp_path / "killed", "guidance.commands.meta_train", *few)
+    resumed = start("guidance.commands.meta_train", f"resume={killed}", f"hydra.run.dir={tmp_path}/log")
+    assert resumed.returncode == 0, resumed.stderr
+    for name in ("meta", "user"):
+        first, second = (load_tensors(tmp_path / run / f"{name}.safetensors")[0] for run in ("whole", "killed"))
+        assert all(torch.equal(first[key], second[key]) for key in first)
+    first, second = (json.loads((tmp_path / run / "card.json").read_text()) for run in ("whole", "killed"))
+    assert first["on_nine_others"] == second["on_nine_others"]
+    for name, epochs in (("maml", 6), ("supervised", 3)):
+        shown, again = (scalars(tmp_path / run, name) for run in ("whole", "killed"))
+        assert shown == again and [step for step, _ in shown[f"{name}/loss"]] == list(range(1, epochs + 1))
+
+
+def scalars(run: Path, part: str = ".") -> dict[str, list[tuple[int, float]]]:
+    """What TensorBoard shows of a run: steps and values by name, without the clock's."""
+    events = EventAccumulator(str(run / "tensorboard" / part), size_guidance={"scalars": 0}).Reload()
+    names = [name for name in events.Tags()["scalars"] if not name.startswith("speed/")]
+    return {name: [(event.step, event.value) for event in events.Scalars(name)] for name in names}
+
+
+def pictures(run: Path, part: str = ".") -> dict[str, list[tuple[int, bytes]]]:
+    """The pictures that TensorBoard shows of a run: steps and files by name."""
+    events = EventAccumulator(str(run / "tensorboard" / part), size_guidance={"images": 0}).Reload()
+    shown = {name: events.Images(name) for name in events.Tags()["images"]}
+    return {name: [(event.step, event.encoded_image_string) for event in images] for name, images in shown.items()}
+
+
+def test_tensorboard_shows_each_generation_once(trained):
+    shown = scalars(trained["league"].parent)
+    assert {"update/kl", "update/std", "win_rate_against/0", "win_rate_against/striker"} <= set(shown)
+    assert all([step for step, _ in values] == [1000, 2000] for values in shown.values())
+
+
+def test_the_battery_measures_and_draws(tmp_path):
+    done = smoke("guidance.commands.validate_users", f"hydra.run.dir={tmp_path}")
+    table = pd.read_csv(tmp_path / "battery.csv")
+    assert len(table) == 15 and table["mean"].notna().all()
+    assert all(name in done.stdout for name in table["measure"])
+    for name in ("speeds", "push", "places", "shots"):
+        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+
+
+def test_a_league_is_reported_whole(trained, tmp_path):
+    done = smoke(
+        "airhockey_marl.commands.league_report", f"run={trained['league'].parent}", f"hydra.run.dir={tmp_path}"
+    )
+    assert "beats generation 0: wins" in done.stdout
+    for name in ("league_report.html", "league_report.json", "payoff.csv", "ratings.csv", "match.gif"):
+        assert (tmp_path / name).stat().st_size > 100
+    found = json.loads((tmp_path / "league_report.json").read_text())
+    assert [steps for steps, _ in found["best_response"]] == [1000]
+
+
+def test_meta_train_scores_itself_on_people_it_has_not_seen(trained):
+    card = json.loads((trained["meta"].parent / "card.json").read_text())
+    scores = card["on_nine_others"]
+    assert all(score > -100 and score == score for score in scores.values()) and "persistence_rmse" in scores
+
+
+def test_evaluate_all_nine(models, tmp_path):
+    done = smoke("guidance.evaluate", *models, f"hydra.run.dir={tmp_path}")
+    trials = pd.read_csv(tmp_path / "trials.csv")
+    assert len(trials) == 9 * 4 and trials["condition"].nunique() == 9
+    for name in ("tests.csv", "figure6.png", "figure6.svg", "report.html", "manifest.json"):
+        assert (tmp_path / name).stat().st_size > 100
+    manifest = json.loads((tmp_path / "manifest.json").read_text())
+    assert manifest["config"]["participants"] == 4 and len(manifest["models"]["league"]) == 64
+    assert "generations" not in manifest["config"]  # a preset's keys for other commands
+    for letter in "abcdefghi":
+        assert f"({letter})" in done.stdout
+    assert not [path for path in tmp_path.iterdir() if path.name.startswith(".") and path.is_file()]
+
+
+def test_the_shipped_defaults_are_the_frozen_study():
+    """Whoever changes a default, a model or a user changes the study, and has to say so in guidance/frozen.json."""
+    with initialize_config_dir(str(CONF), version_base=None):
+        cfg = compose("evaluate")
+    models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+    facts = manifest(cfg, hashes_of(cfg, models), "", 0.0)
+    assert facts["frozen"]
+    cfg.opponent += 1
+    assert not manifest(cfg, hashes_of(cfg, models), "", 0.0)["frozen"]
+
+
+def test_a_sweep_over_the_nine_merges_into_the_report_of_one_run(monkeypatch, models, tmp_path):
+    monkeypatch.setenv("AIRHOCKEY_OUTPUTS", str(tmp_path / "outputs"))
+    smoke("guidance.evaluate", "-m", "condition=glob(*)", *models)
+    (sweep,) = (tmp_path / "outputs" / "evaluate").glob("*/*-sweep")
+    assert len(list(sweep.glob("*/trials.csv"))) == 9
+    done = start("guidance.commands.report", f"runs={sweep}", f"out={tmp_path}/merged", f"hydra.run.dir={tmp_path}/r")
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "merged" / "report.html").is_file()
+    smoke("guidance.evaluate", *models, f"hydra.run.dir={tmp_path}/one")
+    assert (tmp_path / "merged" / "tests.csv").read_bytes() == (tmp_path / "one" / "tests.csv").read_bytes()
+
+
+def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
+    """Run a command that must refuse: exit code 1 or 2, one line, no traceback, nothing computed."""
+    monkeypatch.setattr(sys, "argv", [name, f"hydra.run.dir={tmp_path}/run", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        COMMANDS[name].main()
+    shown = capsys.readouterr()
+    assert stopped.value.code in (1, 2)
+    assert shown.err.count("\n") == 1 and shown.err.startswith("error: ") and len(shown.err) < 300, shown.err
+    assert "Traceback" not in shown.err
+    assert not list(tmp_path.rglob("*.csv")) and not list(tmp_path.rglob("run/*.safetensors"))
+    return shown.err
+
+
+@pytest.mark.parametrize(
+    ("name", "argument", "message"),
+    [
+        ("evaluate", "condition=oahg_utt", "condition = oahg_utt must be one of combhg_ua, "),
+        ("evaluate", "condition=nhg,oahgg", "condition = oahgg must be one of"),
+        ("evaluate", "users=0", "users = 0 must be one of default"),
+        ("evaluate", "+preset=tiny", "preset = tiny must be one of smoke"),
+        ("evaluate", "participants=0", "participants = 0 must be a whole number of at least 1"),
+        ("evaluate", "participants=many", "participants"),
+        ("evaluate", "+participant=3", "participant is not a key"),
+        ("evaluate", "participant=3", "participant"),
+        ("evaluate", "guidance.spring.stiffness=-50", "stiffness = -50"),
+        ("evaluate", "guidance.thresholds.user.low=0.9", "low = 0.9"),
+        ("evaluate", "guidance.lookahead=-1", "lookahead = -1"),
+        ("evaluate", "users.variant=V9", "users.variant = 'V9'"),
+        ("evaluate", "study.rounds=0", "study.rounds = 0"),
+        ("evaluate", "opponent=1000", "generation = 1000"),
+        ("evaluate", "models.user=nowhere.safetensors", "no such file: nowhere.safetensors"),
+        ("evaluate", "seed=-1", "seed = -1"),
+        ("train", "generations=0", "generations = 0 must be a whole number of at least 1"),
+        ("train", "batch=333", "batch = 333 must be a multiple of env.tables"),
+        ("train", "gamma=1.5", "gamma = 1.5"),
+        ("train", "algorithm.max_kl=0", "max_kl = 0"),
+        ("train", "env.backend=gym", "env.backend = 'gym'"),
+        ("train", "league.sampler.first.delta=2", "delta = 2"),
+        ("train", "league.anchors=[goalie]", "league.anchors: 'goalie' must be one of random, defender, striker"),
+        (
+            "train",
+            "league=nobody",
+            "league = nobody must be one of curriculum, delta_uniform, latest, mixture, pfsp, uniform",
+        ),
+        ("battery", "play_seconds=1", "play_seconds = 1 must be a number of at least 10.0"),
+        ("battery", "laboratory=1", "laboratory = 1 must be a whole number of at least 2"),
+        ("battery", "users.variant=V9", "users.variant = 'V9' must be one of V0, V1, V2"),
+        ("battery", "~users.population.worth.away_wait", "users.worth.away_wait must be given"),
+        ("battery", "users.population.leap=0", "users.leap = 0 must be a number above 0"),
+        ("meta_train", "users.variant=V9", "users.variant = 'V9' must be one of V0, V1, V2"),
+        ("evaluate", "users.withdrawn=[joy]", "users.withdrawn: 'joy' must be one of helpfulness"),
+        ("evaluate", "users.mentors=nobody.safetensors", "no such file: nobody.safetensors"),
+        ("train", "algorithm.fisher_share=2", "algorithm.fisher_share = 2"),
+        ("train", "algorithm=dqn", "algorithm = dqn must be one of ppo, sac, trpo"),
+        ("train", "hidden=[]", "hidden"),
+        ("train", "inputs=puck", "inputs = 'puck' must be 'table' or 'paddle'"),
+        ("train", "shaping.shot=far", "shaping.shot = far must be a number"),
+        ("train", "resume=nowhere", "resume = nowhere is not the folder of a run"),
+        ("train", "collector.workers=2", "collector.workers = 2 must be 1 where collector.kind = single"),
+        ("train", "collector=threads", "collector = threads must be one of multisync, ray, single"),
+        ("train", "device=tpu", "device = tpu must be one of cpu"),
+        ("meta_train", "device=tpu", "device = tpu must be one of cpu"),
+        ("evaluate", "device=mouse", "device = mouse must be one of cpu, cuda"),
+        ("meta_train", "maml.inner_lr=-0.1", "maml.inner_lr = -0.1"),
+        ("meta_train", "demonstrations.games=1", "demonstrations.games = 1"),
+        ("meta_train", "models.opponents=nowhere", "no such file: nowhere"),
+        ("report", "runs=nowhere", "nowhere"),
+    ],
+)
+def test_wrong_values_end_in_one_line(monkeypatch, capsys, tmp_path, name, argument, message):
+    assert message in complaint(monkeypatch, capsys, tmp_path, name, argument)
+
+
+def test_models_of_another_kind_or_broken_are_refused(monkeypatch, capsys, tmp_path):
+    broken, other = tmp_path / "broken.safetensors", tmp_path / "other.safetensors"
+    broken.write_bytes(b"\x80\x04no tensors")
+    save_tensors(other, GaussianPolicy([8]).state_dict(), {"hidden": [9], "inner_lr": 0.1})
+    cases = [
+        (f"models.meta={broken}", "is not a safetensors file"),
+        (f"models.meta={other}", "the model has"),
+        (f"models.league={other}", "the model has"),
+        ("models.meta=guidance/pretrained/user.safetensors", "not meta-learned"),
+    ]
+    for argument, message in cases:
+        assert message in complaint(monkeypatch, capsys, tmp_path, "evaluate", argument)
+    save_tensors(other, {"x": torch.zeros(1)})
+    assert "not a file of this project" in complaint(monkeypatch, capsys, tmp_path, "evaluate", f"models.user={other}")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_is_the_manual(monkeypatch, capsys, name):
+    monkeypatch.setattr(sys, "argv", [name, "--help"])
+    COMMANDS[name].main()
+    text = capsys.readouterr().out
+    yaml = (ROOT / "conf" / f"{name}.yaml").read_text()
+    assert yaml.strip() in text and f"python -m {COMMANDS[name].__name__}" in text
+    assert "condition = combhg_ua | combhg_ua_sc" in text
+
+
+def test_commands_start_from_any_folder(trained, models, tmp_path):
+    script = "from guidance.evaluate import main; main()"
+    done = subprocess.run(
+        [sys.executable, "-c", script, "+preset=smoke", "condition=nhg", *models, "hydra.run.dir=run"],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    assert (tmp_path / "run" / "trials.csv").is_file()

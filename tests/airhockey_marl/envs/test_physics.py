@@ -1,0 +1,248 @@
+"""The physics: contacts, limits, symmetry, energy, and what a legal state can never become."""
+
+import re
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+
+from airhockey_marl.envs.physics import (
+    LEFT,
+    NO_CONTACT,
+    PUCK,
+    RIGHT,
+    VX,
+    VY,
+    Table,
+    X,
+    Y,
+    _first_contact,
+    _out_of_reach,
+    check_table,
+    reach,
+    tick,
+)
+
+TABLE = Table()
+TOUCHING = TABLE.puck_radius + TABLE.paddle_radius
+SIDE, END = TABLE.width / 2 - TABLE.puck_radius, TABLE.length / 2 - TABLE.puck_radius
+NOWHERE = np.full((2, 2), np.nan)  # targets: stay
+
+
+def table_with(puck, left=(-0.9, 0.4), right=(0.9, 0.4)) -> np.ndarray:
+    bodies = np.zeros((3, 4))
+    bodies[LEFT, :2], bodies[RIGHT, :2] = left, right
+    bodies[PUCK] = puck
+    return bodies
+
+
+@st.composite
+def legal_states(draw, fastest=20.0):
+    """Paddles in their halves, the puck on the table and in no paddle."""
+    unit = st.floats(0, 1)
+    bodies = np.zeros((3, 4))
+    middle, half = reach(TABLE)
+    for seat, turn in ((LEFT, 1), (RIGHT, -1)):
+        place = middle + half * (2 * np.array([draw(unit), draw(unit)]) - 1)
+        bodies[seat, :2] = turn * place
+        angle, speed = 2 * np.pi * draw(unit), TABLE.paddle_speed * draw(unit)
+        bodies[seat, 2:] = speed * np.cos(angle), speed * np.sin(angle)
+    bodies[PUCK, :2] = (2 * draw(unit) - 1) * END, (2 * draw(unit) - 1) * SIDE
+    for seat in (LEFT, RIGHT):
+        gap = bodies[PUCK, :2] - bodies[seat, :2]
+        if np.hypot(*gap) < TOUCHING:
+            bodies[PUCK, :2] = bodies[seat, :2] - np.sign(bodies[seat, :2] + 1e-9) * TOUCHING
+    bodies[PUCK, 0] = np.clip(bodies[PUCK, 0], -END, END)
+    angle, speed = 2 * np.pi * draw(unit), fastest * draw(unit)
+    bodies[PUCK, 2:] = speed * np.cos(angle), speed * np.sin(angle)
+    targets = np.array([[draw(st.floats(-1.5, 1.5)) for _ in range(2)] for _ in range(2)])
+    return bodies, targets
+
+
+@settings(max_examples=300, deadline=None)
+@given(legal_states())
+def test_nothing_leaves_the_table_or_overlaps_or_becomes_nan(state):
+    bodies, targets = state
+    for _ in range(25):
+        goal, _ = tick(bodies, targets, TABLE)
+        assert np.isfinite(bodies).all()
+        x, y = bodies[PUCK, :2]
+        assert abs(y) <= SIDE + 1e-9
+        if goal:
+            assert abs(y) < TABLE.goal / 2
+            break
+        assert abs(x) <= (END if abs(y) >= TABLE.goal / 2 else TABLE.length / 2) + 1e-9
+        for seat, turn in ((LEFT, 1), (RIGHT, -1)):
+            paddle_x, paddle_y = turn * bodies[seat, X], bodies[seat, Y]
+            assert -TABLE.length / 2 + TABLE.paddle_radius - 1e-9 <= paddle_x <= -TABLE.paddle_radius + 1e-9
+            assert abs(paddle_y) <= TABLE.width / 2 - TABLE.paddle_radius + 1e-9
+            assert np.hypot(*(bodies[PUCK, :2] - bodies[seat, :2])) >= TOUCHING - 1e-3
+
+
+@settings(max_examples=200, deadline=None)
+@given(legal_states())
+def test_swapping_the_seats_mirrors_the_trajectory_exactly(state):
+    bodies, targets = state
+    mirrored, mirrored_targets = -bodies[[RIGHT, LEFT, PUCK]], -targets[::-1]
+    for _ in range(10):
+        goal, touched = tick(bodies, targets, TABLE)
+        mirrored_goal, mirrored_touched = tick(mirrored, mirrored_targets, TABLE)
+        assert np.array_equal(mirrored, -bodies[[RIGHT, LEFT, PUCK]])
+        assert mirrored_goal == -goal
+        assert mirrored_touched == (touched >> 1) | (touched & 1) << 1
+        if goal:
+            break
+
+
+@settings(max_examples=1000, deadline=None)
+@given(legal_states())
+def test_no_contact_is_out_of_reach(state):
+    bodies, _ = state
+    time, which, _ = _first_contact(bodies, TABLE)
+    assert which == NO_CONTACT or not _out_of_reach(bodies, np.nextafter(time, np.inf), TABLE)
+
+
+@settings(max_examples=200, deadline=None)
+@given(st.floats(-0.9, 0.9), st.floats(-0.4, 0.4), st.floats(0, 2 * np.pi), st.floats(0.01, 20))
+def test_energy_never_grows_without_a_paddle(x, y, angle, speed):
+    empty = Table(paddle_radius=1e-6)  # paddles too small to matter, in opposite corners
+    bodies = table_with((x, y, speed * np.cos(angle), speed * np.sin(angle)), (-0.97, -0.51), (0.97, 0.51))
+    energy = (bodies[PUCK, 2:] ** 2).sum()
+    for _ in range(50):
+        goal, touched = tick(bodies, NOWHERE, empty)
+        assume(not touched)
+        after = (bodies[PUCK, 2:] ** 2).sum()
+        assert after <= energy
+        energy = after
+        if goal:
+            break
+
+
+@pytest.mark.parametrize("speed", [1.0, 5.0, 20.0, 200.0])
+def test_a_fast_puck_bounces_off_a_paddle_at_the_exact_moment(speed):
+    bodies = table_with((-0.2, 0.0, -speed, 0.0), left=(-0.5, 0.0))
+    ideal = Table(drag=0.0, friction=0.0)
+    for _ in range(40):
+        _, touched = tick(bodies, NOWHERE, ideal)
+        if touched:
+            break
+    assert touched == 1
+    assert bodies[PUCK, VX] == pytest.approx(ideal.paddle_restitution * speed, rel=1e-12)
+    assert bodies[PUCK, X] > -0.5 + TOUCHING - 1e-12
+
+
+def test_a_moving_paddle_hits_harder():
+    """v' = v + (1 + e)(V - v) along the contact normal, for a paddle of unlimited mass."""
+    ideal = Table(drag=0.0, friction=0.0)
+    bodies = table_with((-0.3, 0.0, -1.0, 0.0), left=(-0.5, 0.0))
+    bodies[LEFT, VX] = 2.0
+    targets = np.array([[10.0, 0.0], [np.nan, np.nan]])  # far ahead: it keeps accelerating
+    for _ in range(10):
+        before = bodies.copy()
+        _, touched = tick(bodies, targets, ideal)
+        if touched:
+            break
+    paddle = (bodies[PUCK, VX] - ideal.paddle_restitution * 1.0) / (1 + ideal.paddle_restitution)
+    assert before[LEFT, VX] <= paddle <= bodies[LEFT, VX]
+
+
+def test_a_wall_takes_its_share_of_the_normal_velocity_alone():
+    ideal = Table(drag=0.0, friction=0.0)
+    bodies = table_with((0.0, SIDE - 0.01, 1.0, 2.0))
+    tick(bodies, NOWHERE, ideal)
+    assert bodies[PUCK, VX] == 1.0
+    assert bodies[PUCK, VY] == pytest.approx(-2.0 * ideal.wall_restitution)
+
+
+@pytest.mark.parametrize(("y", "scores"), [(0.0, True), (0.09, True), (0.14, False), (0.3, False)])
+def test_the_goal_is_its_mouth(y, scores):
+    bodies = table_with((0.7, y, 3.0, 0.0))
+    goals = [tick(bodies, NOWHERE, TABLE)[0] for _ in range(10)]
+    assert (1 in goals) is scores
+
+
+def test_a_post_turns_the_puck_away():
+    """Head on to the post's tip: back where it came from, at the wall's restitution."""
+    ideal = Table(drag=0.0, friction=0.0)
+    bodies = table_with((0.7, TABLE.goal / 2 - 1e-9, 3.0, 0.0))
+    for _ in range(10):
+        tick(bodies, NOWHERE, ideal)
+    assert bodies[PUCK, VX] == pytest.approx(-3.0 * ideal.wall_restitution, rel=1e-3)
+
+
+def test_friction_stops_the_puck():
+    bodies = table_with((0.0, 0.0, 0.03, 0.0))
+    for _ in range(250):
+        tick(bodies, NOWHERE, TABLE)
+    assert (bodies[PUCK, 2:] == 0).all()
+
+
+def test_a_paddle_keeps_to_its_limits_and_arrives():
+    bodies = table_with((0.5, 0.3, 0.0, 0.0), left=(-0.8, -0.4))
+    target = np.array([[-0.2, 0.4], [np.nan, np.nan]])
+    velocity = bodies[LEFT, 2:].copy()
+    for _ in range(60):
+        tick(bodies, target, TABLE)
+        assert np.hypot(*bodies[LEFT, 2:]) <= TABLE.paddle_speed * (1 + 1e-12)
+        assert np.hypot(*(bodies[LEFT, 2:] - velocity)) <= TABLE.paddle_acceleration * TABLE.tick * (1 + 1e-9)
+        velocity = bodies[LEFT, 2:].copy()
+    assert bodies[LEFT, :2] == pytest.approx(target[LEFT], abs=1e-3)
+
+
+def test_a_wedged_puck_is_not_shot_out_faster_than_strokes_can_make_it():
+    """Paddle and wall alternately, at their best: v = (1 + e) V / (1 - e e_wall), whatever the angle of the wedge."""
+    rng = np.random.default_rng(0)
+    fastest = (
+        (1 + TABLE.paddle_restitution) * TABLE.paddle_speed / (1 - TABLE.paddle_restitution * TABLE.wall_restitution)
+    )
+    for _ in range(300):
+        bodies = table_with((rng.uniform(-0.9, -0.05), SIDE, 0.0, 0.0), left=(rng.uniform(-0.9, -0.05), 0.2))
+        for _ in range(100):
+            target = bodies[PUCK, :2] + rng.normal(0, 0.05, 2)
+            goal, _ = tick(bodies, np.array([target, [np.nan, np.nan]]), TABLE)
+            assert np.hypot(*bodies[PUCK, 2:]) < 1.2 * fastest  # sideways it keeps what it had
+            if goal:
+                break
+
+
+def test_a_puck_squeezed_into_the_wall_stays_on_the_table():
+    bodies = table_with((-0.4, SIDE - 0.01, 0.0, 0.0), left=(-0.4, 0.3))
+    target = np.array([[-0.4, 0.6], [np.nan, np.nan]])
+    for _ in range(100):
+        tick(bodies, target, TABLE)
+        assert abs(bodies[PUCK, Y]) <= SIDE + 1e-9
+        assert np.hypot(*(bodies[PUCK, :2] - bodies[LEFT, :2])) >= TOUCHING - 1e-3
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("length", -1.0),
+        ("goal", 2.0),
+        ("wall_restitution", 1.2),
+        ("drag", float("nan")),
+        ("tick", 0.0),
+        ("tick", 1e300),
+        ("paddle_speed", float("inf")),
+        ("paddle_acceleration", 1e200),
+        ("puck_radius", 1e-300),
+        ("substeps", 0),
+        ("substeps", 2.0),  # of a loop that is compiled for whole numbers
+        ("substeps", 10**12),
+        ("width", "wide"),
+        ("goal", None),
+        ("friction", True),
+    ],
+)
+def test_a_table_that_cannot_be_played_on_is_refused_by_name(field, value):
+    with pytest.raises(ValueError, match=re.escape(f"table.{field} = {value}")):
+        check_table(TABLE._replace(**{field: value}))
+
+
+def test_a_paddle_that_has_no_room_in_its_half_is_refused():
+    """Its bounds would be the wrong way round, and it would live on the other side."""
+    wide = Table(length=1.5, width=2.0, paddle_radius=0.4)
+    with pytest.raises(ValueError, match=r"table\.paddle_radius = 0\.4 must be below a quarter of the table's length"):
+        check_table(wide)
+    assert check_table(wide._replace(length=1.7))

@@ -1,0 +1,339 @@
+"""The report of a tiny league: what is written, what it says whichever way the numbers fall, and what it refuses."""
+
+import base64
+import html
+import io
+import json
+import re
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+from torch.utils.tensorboard import SummaryWriter
+
+from airhockey_marl.commands import league_report
+from airhockey_marl.evaluation.figures import payoff_figure
+from airhockey_marl.evaluation.league_metrics import Effort, Fallen, Findings, measure, members_of_matrix, milestones
+from airhockey_marl.evaluation.league_report import draw, log_to_tensorboard, page, summary, write_report
+from airhockey_marl.evaluation.matches import Result
+from airhockey_marl.evaluation.ratings import MATCHES, Gain, Misfit, Share
+from airhockey_marl.experiment.files import save_tensors, write_json
+from airhockey_marl.league.league import League
+from airhockey_marl.players.scripted import ANCHORS
+from tests.airhockey_marl.league.test_league import league_of
+
+EFFORT = Effort(every=5, rounds=2, match_rounds=4, save_tables=3, std_tables=4, std_seconds=8.0)
+FILES = ["league_report.html", "league_report.json", "match.gif", "payoff.csv", "payoff.png", "precision.png"]
+FILES += ["rating.png", "ratings.csv"]
+BEST_RESPONSE = [(1_000_000, Result(30, 70, 2)), (2_000_000, Result(80, 20, 0))]
+SECTIONS = [
+    "What a league must show",
+    "Ratings",
+    "Who beats whom",
+    "Win rates during training",
+    "Saves",
+    "Does the STD mean anything?",
+    "Is it smooth?",
+    "Can it be exploited?",
+    "How it looks",
+    "Where these numbers come from",
+]
+
+
+def matches() -> pd.DataFrame:
+    rows = [(1, 0, 3, 1, 0), (1, "random", 4, 0, 0), (1, "striker", 0, 4, 0), (2, 0, 2, 1, 1), (2, "random", 0, 0, 4)]
+    return pd.DataFrame(rows, columns=list(MATCHES))
+
+
+def text_of(written: str) -> str:
+    return re.sub(r"\s+", " ", html.unescape(re.sub(r"<style>.*?</style>|<[^>]+>", " ", written, flags=re.DOTALL)))
+
+
+@pytest.fixture(scope="module")
+def league() -> League:
+    return league_of(3)
+
+
+@pytest.fixture(scope="module")
+def written(league, tmp_path_factory) -> tuple[Path, Findings]:
+    """A whole report without matches, and what it found."""
+    folder = tmp_path_factory.mktemp("report")
+    card = {"steps": 3000, "seed": 4, "note": "<script>alert(1)</script>", "config": {"env": {"tables": 4}}}
+    return folder, write_report(folder, league, None, card, EFFORT, seed=1)
+
+
+def shown(found: Findings) -> str:
+    """The text of the page for these findings."""
+    names = ("payoff.png", "rating.png", "precision.png", "matches.png", "best_response.png", "match.gif")
+    return text_of(page(found, dict.fromkeys(names, b"a picture"), {}, EFFORT, 1))
+
+
+def test_report_writes_its_files_whole(written):
+    folder, found = written
+    assert sorted(path.name for path in folder.iterdir()) == FILES
+    for name in ("payoff", "rating", "precision"):
+        assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
+    payoff, ratings = pd.read_csv(folder / "payoff.csv"), pd.read_csv(folder / "ratings.csv")
+    k = 3 + len(ANCHORS)
+    assert len(payoff) == k * (k - 1) and (payoff[["won", "lost", "undecided"]].sum(axis=1) == 2).all()
+    assert list(ratings["member"]) == ["0", "1", "2", *ANCHORS] and set(ratings["source"]) == {"payoff"}
+    assert (ratings["low"] <= ratings["rating"]).all() and (ratings["rating"] <= ratings["high"]).all()
+    facts = json.loads((folder / "league_report.json").read_text(), parse_constant=pytest.fail)
+    assert facts["seed"] == 1 and facts["effort"]["rounds"] == 2 and facts["members"] == [0, 1, 2, *ANCHORS]
+    assert facts["against"]["0"]["trials"] == found.against[0].trials
+
+
+def test_match_is_ten_seconds_of_an_animated_picture(written):
+    with Image.open(written[0] / "match.gif") as film:
+        assert film.n_frames > 100  # pictures that do not change share a longer one
+        assert film.width == 320 and film.info["loop"] == 0
+        lasts = 0
+        for frame in range(film.n_frames):
+            film.seek(frame)
+            lasts += film.info["duration"]
+    assert lasts == 10_000
+
+
+def test_page_has_every_section_and_loads_nothing(written):
+    folder, _ = written
+    written_page = (folder / "league_report.html").read_text(encoding="utf-8")
+    assert re.findall(r"<h2>(.*?)</h2>", written_page) == SECTIONS
+    assert not re.search(r"<(script|link|iframe|object)\b|@import|url\(", written_page)
+    sources = re.findall(r'(?:src|href)="([^"]*)"', written_page)
+    inlined = {base64.b64decode(source.partition("base64,")[2]) for source in sources}
+    assert inlined == {(folder / name).read_bytes() for name in FILES if name.endswith(("png", "gif"))}
+    assert "&lt;script&gt;alert(1)" in written_page
+
+
+def test_page_prints_no_number_that_is_none(written, league):
+    folder, found = written
+    none = float("nan")
+    numbers = found.std.columns.drop(["situation", "decisions", "share"])
+    empty = replace(
+        found,
+        score=np.where(np.arange(3) == 2, found.score.sum(axis=-1, keepdims=True), 0),
+        misfit=Misfit(none, none),
+        against={0: Share.of(0, 0), found.strongest: Share.of(0, 0)},
+        saves={name: Share.of(0, 0) for name in found.saves},
+        std=found.std.assign(**dict.fromkeys(numbers, none)),
+        maps=tuple(np.full_like(values, none) for values in found.maps),
+        smoothness={name: dict.fromkeys(values, none) for name, values in found.smoothness.items()},
+    )
+    for text in (text_of((folder / "league_report.html").read_text()), shown(empty)):
+        assert not re.search(r"\b([Nn]a[Nn]|None|inf|Undefined)\b|\[\s*,|\{\{|  ", text)
+    assert "The scripted striker did not get to shoot at both, so nothing can be said." in shown(empty)
+    assert "Too little happened before a save" in shown(empty) and "too small to tell" in shown(empty)
+    assert all(picture.startswith(b"\x89PNG") for picture in draw(empty, None).values())
+    json.dumps(empty.as_dict(), allow_nan=False)
+
+
+def test_report_is_reproducible(written, league, tmp_path):
+    folder, _ = written
+    card = {"steps": 3000, "seed": 4, "note": "<script>alert(1)</script>", "config": {"env": {"tables": 4}}}
+    write_report(tmp_path, league, None, card, EFFORT, seed=1)
+    for name in FILES:
+        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+def test_matches_of_training_and_a_best_response_are_shown(written, league):
+    folder, found = written
+    with_more = measure(league, matches(), EFFORT, 1, BEST_RESPONSE)
+    assert (with_more.score == found.score).all() and with_more.against == found.against
+    assert list(with_more.kept["member"]) == [0, 1, 2, "random", "striker"]
+    assert set(with_more.ratings_table()["source"]) == {"payoff", "matches"}
+    text = shown(with_more)
+    assert set(draw(with_more, matches())) == {"matches.png", "best_response.png", *(f for f in FILES if "png" in f)}
+    assert "over five generations" in text and "came without the matches" not in text
+    assert "learned 2,000,000 steps" in text and "wins 80 % [71, 87] of the decided rounds" in text
+    without = text_of((folder / "league_report.html").read_text())
+    assert "came without the matches of its training" in without and "is not known" in without
+
+
+def test_heat_map_has_numbers_in_its_cells_while_they_are_few():
+    score = np.zeros((3, 3, 3), dtype=int)
+    score[0, 1], score[1, 0], score[0, 2], score[2, 0] = (996, 4, 0), (4, 996, 0), (20, 20, 9), (20, 20, 9)
+    axes = payoff_figure([0, 1, "random"], score).axes[0]
+    assert [text.get_text() for text in axes.texts] == ["1", ".50", ".00", ".50"]  # nothing where nobody met
+    many = np.ones((101, 101, 3), dtype=int)
+    axes = payoff_figure([*range(100), "random"], many).axes[0]
+    labels = [label.get_text() for label in axes.get_yticklabels()]
+    assert not axes.texts and labels[0] == "0" and labels[-2:] == ["99", "random"] and len(labels) < 30
+
+
+def of(value: float, half: float) -> Gain:
+    return Gain(value, value - half, value + half)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says", "line"),
+    [
+        (
+            {"growth": of(90, 10), "middle": 1},
+            "It rose since generation 1, halfway: the last is rated 90 [80, 100]",
+            None,
+        ),
+        (
+            {"growth": of(-90, 10), "middle": 1},
+            "It fell since generation 1, halfway: the last is rated 90 [80, 100]",
+            None,
+        ),
+        (
+            {"growth": of(5, 10), "middle": 1},
+            "It did not clearly rise or fall since generation 1, halfway: the last is rated 5 [−5, 15]",
+            None,
+        ),
+        ({"above_strongest": of(70, 9)}, "70 points above the strongest script", None),
+        ({"above_strongest": of(-70, 9)}, "70 points below the strongest script", None),
+        ({"misfit": Misfit(1.1, 0.3)}, "yes, what it leaves unexplained may be chance", None),
+        ({"misfit": Misfit(4.0, 1e-9)}, "(p < .001): no, who beats whom goes round in circles", None),
+        ({"fallen": Fallen({}, 0)}, "The league has no generation after 20 to compare", None),
+        ({"fallen": Fallen({}, 7)}, "none of 7 after 20 is rated below generation 10.", "yes"),
+        (
+            {"fallen": Fallen({30: of(-5, 9)}, 7)},
+            "1 of 7 after 20 is rated below generation 10 (30), none of them by more than the 95 % interval",
+            "open",
+        ),
+        (
+            {"fallen": Fallen({30: of(-5, 9), 40: of(-50, 9)}, 7)},
+            "2 of 7 after 20 are rated below generation 10 (30 and 40), 1 of them by more than the 95 % interval of "
+            "the difference (40).",
+            "no",
+        ),
+        (
+            {"saves": {"last": Share.of(90, 100), "defender": Share.of(60, 100)}},
+            "the last generation defends better",
+            "yes",
+        ),
+        ({"saves": {"last": Share.of(50, 100), "defender": Share.of(80, 100)}}, "the script defends better", "no"),
+        (
+            {"saves": {"last": Share.of(50, 100), "defender": Share.of(52, 100)}},
+            "neither clearly defends better",
+            "open",
+        ),
+        ({"best_response": [(9, Share.of(80, 100))]}, "the last generation can be exploited.", None),
+        ({"best_response": [(9, Share.of(20, 100))]}, "it found no way to beat the last generation.", None),
+        ({"best_response": [(9, Share.of(50, 100))]}, "it is about the last generation’s equal.", None),
+    ],
+)
+def test_sentences_follow_from_the_numbers(written, changes, says, line):
+    found = replace(written[1], **changes)
+    assert says in shown(found)
+    if line:
+        topic = "after 20" if "fallen" in changes else "saves more"
+        assert [row.outcome for row in summary(found) if topic in row.question] == [line]
+
+
+@pytest.mark.parametrize(
+    ("above", "says", "holds"),
+    [(-0.05, "surer", "yes"), (0.05, "less sure", "no"), (0.0, "neither clearly surer nor less sure", "open")],
+)
+def test_whether_the_std_means_anything_follows_from_the_numbers(written, above, says, holds):
+    ends = {"difference_low": above - 0.01, "difference_high": above + 0.01}
+    found = replace(written[1], std=written[1].std.assign(std=0.2, difference=above, **ends))
+    text = shown(found)
+    for situation in ("Before a save", "Before a strike"):
+        expected = (
+            f"{situation} the policy is {says} than while the puck is far away: STD 0.200 against {0.2 - above:.3f}"
+        )
+        assert expected in text
+    assert [line.outcome for line in summary(found) if "surer" in line.question] == [holds] * 2
+
+
+def test_the_last_is_measured_against_what_the_league_has():
+    assert milestones(100) == milestones(51) == [0, 25, 50]
+    assert milestones(50) == [0, 12, 25, 37] and milestones(1) == [0]
+    assert members_of_matrix(101, 10) == [0, 10, 20, 25, 30, 40, 50, 60, 70, 80, 90, 100, *ANCHORS]
+    assert members_of_matrix(30, 20) == [0, 7, 10, 14, 20, 21, 29, *ANCHORS]
+    assert members_of_matrix(3, 5) == [0, 1, 2, *ANCHORS]
+
+
+def test_tensorboard_reads_the_report_and_an_animated_match(written, tmp_path):
+    folder, found = written
+    with SummaryWriter(str(tmp_path)) as writer:
+        log_to_tensorboard(writer, folder, found, 3000)
+    events = EventAccumulator(str(tmp_path), size_guidance={"images": 0}).Reload()
+    assert set(events.Tags()["images"]) == {f"report/{name}" for name in ("payoff", "rating", "precision", "match")}
+    (match,) = events.Images("report/match")
+    assert match.step == 3000
+    with Image.open(io.BytesIO(match.encoded_image_string)) as film:
+        assert film.format == "GIF" and film.is_animated
+    assert [event.step for event in events.Scalars("rating/generation")] == [0, 1500, 3000]
+    expected = found.ratings.set_index("member").loc["striker", "rating"]
+    assert events.Scalars("rating/striker")[0].value == pytest.approx(expected, rel=1e-5)
+    named = {"rating/generation", "save_rate/last", "save_rate/defender", *(f"rating/{name}" for name in ANCHORS)}
+    scalars = set(events.Tags()["scalars"])
+    assert scalars - named <= {f"std/{s.replace(' ', '_')}" for s in found.std["situation"]} and "std/all" in scalars
+
+
+TINY = ["rounds=1", "match_rounds=1", "save_tables=1", "std_tables=2", "std_seconds=2", "exploit_generations=0"]
+
+
+def ship(folder: Path, league: League, **card) -> Path:
+    save_tensors(folder / "league.safetensors", league.stacked(), {"hidden": [8]})
+    write_json(folder / "card.json", {"hashes": league.hashes, "steps": 2000, **card})
+    return folder
+
+
+def test_the_command_reports_a_run(monkeypatch, capsys, league, tmp_path):
+    run, out = ship(tmp_path / "run", league, config={"env": {"decision_ticks": 2}}), tmp_path / "out"
+    matches().to_csv(run / "matches.csv", index=False)
+    monkeypatch.setattr(sys, "argv", ["league_report", f"run={run}", f"hydra.run.dir={out}", *TINY])
+    league_report.main()
+    assert {*FILES, "matches.png"} <= {path.name for path in out.iterdir()}
+    assert list(out.glob("tensorboard/events*"))
+    shown = capsys.readouterr().out
+    assert "The last generation (2) beats generation 0: wins" in shown and f"report: {out}" in shown
+    assert (out / "league_report.html").read_text().count(league.hashes[-1]) == 1
+
+
+def complaint(monkeypatch, capsys, tmp_path, *arguments: str) -> str:
+    """What the command says when it refuses: one line, no traceback, and nothing is written."""
+    monkeypatch.setattr(sys, "argv", ["league_report", f"hydra.run.dir={tmp_path}/refused", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        league_report.main()
+    said = capsys.readouterr().err
+    assert stopped.value.code == 2 and said.count("\n") == 1 and said.startswith("error: ") and len(said) < 300
+    assert not list((tmp_path / "refused").rglob("*.html"))
+    return said
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("run=nowhere", "no such file: nowhere/league.safetensors"),
+        ("rounds=0", "rounds = 0 must be a whole number of at least 1"),
+        ("every=2.5", "every = 2.5 must be a whole number"),
+        ("std_seconds=-1", "std_seconds = -1 must be a number above 0"),
+        ("seed=-1", "seed = -1"),
+        ("generation=3", "generation"),
+    ],
+)
+def test_wrong_values_end_in_one_line(monkeypatch, capsys, tmp_path, argument, message):
+    assert message in complaint(monkeypatch, capsys, tmp_path, argument)
+
+
+def test_runs_that_are_none_are_refused(monkeypatch, capsys, tmp_path, league):
+    lone = ship(tmp_path / "lone", league_of(1))
+    assert "at least 2" in complaint(monkeypatch, capsys, tmp_path, f"run={lone}")
+    other = ship(tmp_path / "other", league, hashes=["0"])
+    assert "card of another league" in complaint(monkeypatch, capsys, tmp_path, f"run={other}")
+    (other / "card.json").write_text("{")
+    assert "card.json is not JSON" in complaint(monkeypatch, capsys, tmp_path, f"run={other}")
+    run = ship(tmp_path / "run", league)
+    matches().assign(generation=9).to_csv(run / "matches.csv", index=False)
+    assert "generation = 9 must be below 3" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
+    matches().replace({"opponent": {"random": "wall"}}).to_csv(run / "matches.csv", index=False)
+    assert "anchor = 'wall' must be one of" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
+    (run / "matches.csv").write_text("a,b\n1,2\n")
+    assert "has the columns a, b, not" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
+    save_tensors(run / "league.safetensors", league.stacked(), {})
+    with pytest.raises(ValueError, match="not a file of this project"):
+        League.load(run / "league.safetensors")
+    save_tensors(run / "league.safetensors", league.stacked(), {"hidden": [9]})
+    with pytest.raises(ValueError, match=r"league\.safetensors: .* the model has"):
+        League.load(run / "league.safetensors")

@@ -1,0 +1,199 @@
+"""Which situation a decision is in, against the physics and by hand; STDs, intervals and maps of made-up play."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+
+from airhockey_marl.envs.physics import PUCK, Table, tick
+from airhockey_marl.evaluation.policy_std import (
+    AWAY,
+    OTHER,
+    SAVE,
+    SITUATIONS,
+    STRIKE,
+    Play,
+    precision,
+    record,
+    seconds_to_goal,
+    situations,
+    smoothness,
+    std_map,
+)
+from airhockey_marl.players.networks import GaussianPolicy
+from airhockey_marl.players.players import confident, sampled
+
+TABLE = Table()
+NEAR, ASIDE, BEYOND = (-0.3, 0.2, 0.1, 0.3), (-0.6, -0.4, 1.0, 0.0), (0.5, 0.1, 0.2, 0.0)
+
+
+def observed(*pucks: tuple[float, float, float, float]) -> np.ndarray:
+    """(T, 1, 12): paddles at rest in the middle of their sides, the puck as given."""
+    seen = np.zeros((len(pucks), 1, 12), dtype=np.float32)
+    seen[..., 0], seen[..., 4] = -TABLE.length / 4, TABLE.length / 4
+    seen[:, 0, 8:] = pucks
+    return seen
+
+
+def play_of(*pucks, std: float = 0.2, touched: tuple[int, ...] = (), ended: tuple[int, ...] = ()) -> Play:
+    seen = observed(*pucks)
+    nothing = np.zeros((len(pucks), 1, 2), dtype=np.float32)
+    events = [np.isin(np.arange(len(pucks)), when)[:, None] for when in (touched, ended)]
+    return Play(seen, nothing, nothing + std, nothing, *events, 0.04, TABLE)
+
+
+def test_when_a_puck_enters_the_goal_is_what_the_physics_does():
+    """Without drag, and with paddles of no size; what happens at a post is another matter."""
+    table = Table(drag=0.0, friction=0.0, paddle_radius=1e-6)
+    rng, entered, compared = np.random.default_rng(0), 0, 0
+    for _ in range(400):
+        puck = rng.uniform((-0.8, -0.45, -3.0, -3.0), (0.9, 0.45, -0.8, 3.0))
+        bodies = np.zeros((3, 4))
+        bodies[:PUCK, 0], bodies[:PUCK, 1], bodies[PUCK] = (-0.97, 0.97), 0.519, puck
+        foretold = float(seconds_to_goal(np.concatenate([np.zeros(8), puck]), table))
+        happened, before = np.inf, bodies[PUCK].copy()
+        for step in range(1, 121):
+            if bodies[PUCK, 0] > table.puck_radius - table.length / 2:
+                before = bodies[PUCK].copy()
+            goal, _ = tick(bodies, bodies[:PUCK, :2].copy(), table)
+            if goal or bodies[PUCK, 2] > 0:  # in, or back from the end
+                happened = step * table.tick if goal else np.inf
+                break
+        aside = abs(before[3]) * (table.tick + table.puck_radius / -before[2])  # how far it gets on its way through
+        if abs(abs(before[1]) - table.goal / 2) < table.puck_radius + aside:
+            continue
+        compared, entered = compared + 1, entered + np.isfinite(foretold)
+        assert np.isfinite(foretold) == np.isfinite(happened)
+        assert np.isinf(foretold) or foretold - 1e-6 <= happened <= foretold + table.tick + 1e-6
+    assert compared > 150 and entered > 15
+
+
+def test_a_puck_that_goes_away_or_aside_does_not_enter():
+    straight, aside, away, bank = (
+        (0.0, 0.0, -2.0, 0.0),
+        (0.0, 0.3, -2.0, 0.0),
+        (0.0, 0.0, 2.0, 0.0),
+        (0.0, 0.3, -2.0, 1.0),
+    )
+    times = seconds_to_goal(observed(straight, aside, away, bank), TABLE)[:, 0]
+    assert times[0] == pytest.approx(TABLE.length / 4) and np.isinf(times[1:3]).all()
+    reach = TABLE.width / 2 - TABLE.puck_radius
+    y = reach - TABLE.wall_restitution * (TABLE.length / 4 - (reach - 0.3))
+    assert np.isfinite(times[3]) == (abs(y) < TABLE.goal / 2)
+
+
+def test_every_decision_is_in_one_situation():
+    saving = (-0.4, 0.0, -2.0, 0.0)  # in the goal in 0.29 s
+    slow = (-0.4, 0.0, -0.2, 0.0)
+    play = play_of(saving, slow, BEYOND, NEAR, (0.3, 0.4, -0.1, 0.0), (0.1, 0.0, 0.0, 0.0))
+    assert situations(play)[:, 0].tolist() == [SAVE, OTHER, AWAY, OTHER, AWAY, AWAY]
+
+
+def test_a_strike_is_foreseen_for_five_decisions_and_not_past_the_end_of_a_rally():
+    still = [NEAR] * 12
+    assert situations(play_of(*still, touched=(7,)))[:, 0].tolist() == [OTHER] * 3 + [STRIKE] * 5 + [OTHER] * 4
+    cut = situations(play_of(*still, touched=(7,), ended=(5,)))[:, 0].tolist()
+    assert cut == [OTHER] * 6 + [STRIKE] * 2 + [OTHER] * 4
+    last = situations(play_of(*still, touched=(11,), ended=(11,)))[:, 0].tolist()
+    assert last == [OTHER] * 7 + [STRIKE] * 5
+    coming = [(-0.4, 0.0, -2.0, 0.0)] * 3
+    assert set(situations(play_of(*coming, touched=(2,)))[:, 0]) == {SAVE}  # a save is no strike
+
+
+def test_precision_is_the_mean_std_of_each_situation():
+    rng = np.random.default_rng(0)
+    pucks = np.where(rng.random((500, 20, 1)) < 0.5, BEYOND, NEAR)
+    seen = np.repeat(observed(NEAR), 20, axis=1).repeat(500, axis=0)
+    seen[..., 8:] = pucks
+    far = pucks[..., 0] > 0
+    std = np.where(far, 0.3, 0.2)[..., None] + 0.01 * rng.normal(size=(500, 20, 1)) + [-0.05, 0.05]
+    nothing, never = np.zeros((500, 20, 2)), np.zeros((500, 20), dtype=bool)
+    play = Play(seen, nothing, std, nothing, never, never, 0.04, TABLE)
+    table = precision(play).set_index("situation")
+    assert table["decisions"].to_dict() == {
+        "before a save": 0,
+        "before a strike": 0,
+        "puck far away": far.sum(),
+        "otherwise": (~far).sum(),
+        "all": 10_000,
+    }
+    away = table.loc["puck far away"]
+    assert away["std"] == pytest.approx(std[far].mean()) and away["along"] == pytest.approx(std[far][:, 0].mean())
+    error = 0.01 / far.sum() ** 0.5
+    for row in (away, table.loc["otherwise"]):
+        assert row["low"] < row["std"] < row["high"]
+        assert 2 * error < row["high"] - row["low"] < 6 * error
+    assert table.loc["otherwise", "difference_low"] < -0.1 < table.loc["otherwise", "difference_high"]
+    assert table.loc["before a save", ["std", "low", "difference_low", "difference_high"]].isna().all()
+    assert table["share"][list(SITUATIONS)].sum() == pytest.approx(1)
+    pd.testing.assert_frame_equal(precision(play), precision(play))
+
+
+def test_tables_that_differ_widen_the_interval():
+    """Decisions at one table are no independent witnesses: the bootstrap is over tables."""
+    play = play_of(*[NEAR] * 400)
+    many = {name: np.repeat(getattr(play, name), 10, axis=1) for name in ("observation", "mean", "action")}
+    flags = {name: np.repeat(getattr(play, name), 10, axis=1) for name in ("touched", "ended")}
+    std = np.zeros((400, 10, 2)) + np.linspace(0.1, 0.3, 10)[None, :, None]
+    row = precision(Play(std=std, decision_seconds=0.04, table=TABLE, **many, **flags)).set_index("situation")
+    low, high = row.loc["otherwise", ["low", "high"]]
+    assert high - low == pytest.approx(2 * 1.96 * np.linspace(0.1, 0.3, 10).std() / 10**0.5, rel=0.1)
+
+
+def test_the_map_shows_where_the_puck_was():
+    play = play_of(*[(-0.9, 0.4, -1.0, 0.0)] * 3, *[(0.9, -0.4, 1.0, 0.0)] * 5)
+    play = replace(play, std=np.concatenate([np.full((3, 1, 2), 0.1), np.full((5, 1, 2), 0.3)]))
+    coming, going = (std_map(play, toward, cells=(10, 4), least=2) for toward in (True, False))
+    assert coming.shape == (4, 10)
+    assert np.argwhere(np.isfinite(coming)).tolist() == [[3, 0]] and coming[3, 0] == pytest.approx(0.1)
+    assert np.argwhere(np.isfinite(going)).tolist() == [[0, 9]] and going[0, 9] == pytest.approx(0.3)
+    assert np.isnan(std_map(play, True, cells=(10, 4), least=4)).all()
+
+
+def test_smoothness_is_the_change_between_decisions_of_a_rally():
+    play = play_of(*[NEAR] * 6, ended=(2,))
+    mean = np.array([0.0, 0.1, 0.2, -5.0, -0.9, -0.8])[:, None, None] * [1.0, 1.0]
+    seen = play.observation.copy()
+    seen[:3, 0, 2] = TABLE.paddle_speed
+    found = smoothness(replace(play, mean=mean, action=-mean, observation=seen))
+    assert found["mean_change"] == pytest.approx(0.1) == found["action_change"]  # -5 is clipped to -1
+    assert found["at_top_speed"] == 0.5 and found["paddle_speed"] == pytest.approx(TABLE.paddle_speed / 2)
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Play:
+    torch.manual_seed(0)
+    policy = GaussianPolicy([8])
+    return record(policy, confident(policy), tables=30, seconds=20.0, seed=5, round_seconds=8.0)
+
+
+def test_a_recording_is_what_the_policy_saw_meant_and_did(recorded):
+    torch.manual_seed(0)
+    policy = GaussianPolicy([8])
+    assert recorded.observation.shape == (500, 30, 12) and recorded.action.shape == (500, 30, 2)
+    with torch.no_grad():
+        mean, std = policy(torch.from_numpy(recorded.observation))
+    np.testing.assert_allclose(recorded.mean, mean, atol=1e-6)
+    np.testing.assert_allclose(recorded.std, std, atol=1e-6)
+    noise = (recorded.action - recorded.mean) / recorded.std
+    assert abs(noise.mean()) < 0.03 and abs(noise.std() - 1) < 0.03
+    ended, touched = recorded.ended, recorded.touched
+    new_round = np.isclose(recorded.observation[1:, :, :2], (-TABLE.length / 4, 0.0)).all(axis=-1)
+    assert ended[:-1][new_round].all() and new_round.sum() > 30  # at least two rounds in 20 s of 8 s each
+    assert 0 < touched.mean() < 0.5
+    faster = np.abs(np.diff(recorded.observation[..., 10:], axis=0)).max(axis=-1) > 1.0
+    calm = ~touched[:-1] & ~ended[:-1] & (np.abs(recorded.observation[:-1, :, 8]) < 0.1)
+    assert not (faster & calm & (np.abs(recorded.observation[:-1, :, 9]) < 0.2)).any()  # nobody touched: no kick
+
+
+def test_a_recording_follows_from_its_seed(recorded):
+    torch.manual_seed(0)
+    policy = GaussianPolicy([8])
+    again = record(policy, confident(policy), tables=30, seconds=20.0, seed=5, round_seconds=8.0)
+    np.testing.assert_array_equal(again.observation, recorded.observation)
+    other = record(
+        policy, sampled(policy, torch.Generator().manual_seed(0)), tables=30, seconds=2.0, seed=6, round_seconds=8.0
+    )
+    assert not np.array_equal(other.observation, recorded.observation[:50])

@@ -1,0 +1,244 @@
+"""Rounds between pairs, ratings against other people's arithmetic, intervals that hold, and kept matches."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.optimize import minimize
+
+from airhockey_marl.evaluation import ratings
+from airhockey_marl.evaluation.ratings import (
+    ELO,
+    MATCHES,
+    Share,
+    gains,
+    misfit,
+    payoff,
+    play_pairs,
+    rate,
+    ratings_of_matches,
+    read_matches,
+    win_rates,
+)
+from tests.airhockey_marl.league.test_league import league_of
+
+
+def tournament(elo: np.ndarray, rounds: int, rng: np.random.Generator, met: np.ndarray | None = None) -> np.ndarray:
+    """(k, k) wins of players of these strengths, `rounds` rounds each pair, or each pair in `met`."""
+    wins = np.zeros((len(elo), len(elo)), dtype=np.int64)
+    for i, j in zip(*np.triu_indices(len(elo), 1), strict=True):
+        if met is None or met[i, j]:
+            wins[i, j] = rng.binomial(rounds, 1 / (1 + 10 ** ((elo[j] - elo[i]) / 400)))
+            wins[j, i] = rounds - wins[i, j]
+    return wins
+
+
+def maximum_likelihood(wins: np.ndarray, prior_rounds: float = 0.0) -> np.ndarray:
+    """Elo above the first player by minimizing the negative log-likelihood, as it stands in a textbook."""
+    k = len(wins)
+    wins = np.pad(wins.astype(float), (0, 1), constant_values=prior_rounds / 2)
+    wins[k, k] = 0.0
+
+    def loss(strength: np.ndarray) -> tuple[float, np.ndarray]:
+        margin = strength[:, None] - strength[None, :]
+        surprise = wins / (1 + np.exp(margin))
+        gradient = surprise.sum(axis=0) - surprise.sum(axis=1)
+        return float((wins * np.logaddexp(0.0, -margin)).sum()), gradient
+
+    strength = minimize(loss, np.zeros(k + 1), jac=True, method="BFGS", options={"gtol": 1e-8, "maxiter": 5000}).x[:k]
+    return ELO * (strength - strength[0])
+
+
+def ring(k: int) -> np.ndarray:
+    """Who met whom if everybody met only his two neighbours."""
+    place = np.arange(k)
+    return np.isin((place[:, None] - place[None, :]) % k, (1, k - 1))
+
+
+@pytest.mark.parametrize("met", [None, ring(9)])
+@pytest.mark.parametrize("prior_rounds", [0.0, 1.0])
+def test_ratings_are_the_maximum_of_the_likelihood(met, prior_rounds):
+    rng = np.random.default_rng(0)
+    wins = tournament(200 * rng.normal(size=9), 60, rng, met)
+    expected = maximum_likelihood(wins, prior_rounds)
+    np.testing.assert_allclose(rate(wins, 0, prior_rounds).rating, expected, atol=0.01)
+
+
+def test_the_prior_is_little_beside_hundreds_of_rounds():
+    rng = np.random.default_rng(1)
+    wins = tournament(200 * rng.normal(size=12), 100, rng)
+    free, held = rate(wins, 0, prior_rounds=0.0), rate(wins, 0)
+    assert np.abs(free.rating - held.rating).max() < 0.03 * (held.high - held.low).max()
+
+
+def test_intervals_hold_the_truth_about_as_often_as_they_say():
+    rng, hits = np.random.default_rng(2), []
+    elo = np.array([0.0, 60.0, -150.0, 250.0, 100.0, 20.0])
+    for _ in range(200):
+        rated = rate(tournament(elo, 30, rng), 0)
+        hits.append((rated.low <= elo) & (elo <= rated.high))
+    assert 0.92 < np.array(hits)[:, 1:].mean() < 0.975
+    assert np.array(hits)[:, 0].all()  # the reference is where it is by definition
+
+
+def test_intervals_hold_for_those_who_hardly_met():
+    rng, hits = np.random.default_rng(3), []
+    elo = np.array([0.0, 100.0, 200.0, 100.0, 0.0, -100.0, -50.0])
+    for _ in range(200):
+        rated = rate(tournament(elo, 60, rng, ring(7)), 2)
+        hits.append((rated.low <= elo - elo[2]) & (elo - elo[2] <= rated.high))
+    assert 0.90 < np.array(hits)[:, [0, 1, 3, 4, 5, 6]].mean() < 0.99
+
+
+def test_who_won_or_lost_everything_has_a_finite_rating_and_a_wide_interval():
+    wins = tournament(np.zeros(5), 50, np.random.default_rng(4))
+    wins[3], wins[:, 3] = np.array([50, 50, 50, 0, 50]), 0
+    best, worst = rate(wins, 0), rate(wins.T, 0)
+    for rated in (best, worst):
+        assert np.isfinite(rated).all() and rated.low[3] < rated.rating[3] < rated.high[3]
+        assert rated.high[3] - rated.low[3] > 3 * (rated.high[1] - rated.low[1])
+    assert best.low[3] > 200
+    np.testing.assert_allclose(best.rating, -worst.rating, atol=1e-6)  # winners and losers are treated alike
+
+
+def test_another_reference_only_moves_the_zero():
+    rng = np.random.default_rng(5)
+    wins = tournament(100 * rng.normal(size=6), 40, rng)
+    first, third = rate(wins, 0), rate(wins, 2)
+    np.testing.assert_allclose(first.rating - first.rating[2], third.rating, atol=1e-9)
+    assert third[0][2] == third[1][2] == third[2][2] == 0
+    there, back = gains("abcdef", wins, "c")["a"], gains("abcdef", wins, "a")["c"]
+    np.testing.assert_allclose(there, (-back.value, -back.high, -back.low), atol=1e-6)
+
+
+def test_who_cannot_be_compared_has_an_interval_that_says_so():
+    wins = np.zeros((4, 4))
+    wins[0, 1] = wins[1, 0] = 500
+    wins[2, 3] = 5
+    rated = rate(wins, 0)
+    assert np.isfinite(rated).all()
+    assert (rated.high - rated.low)[1] < 100 and ((rated.high - rated.low)[2:] > 1000).all()
+    with pytest.raises(ValueError, match=r"members \[2, 3\] have no decided round that leads to member 0"):
+        rate(wins, 0, prior_rounds=0.0)
+    with pytest.raises(ValueError, match="must be counts"):
+        rate(-wins, 0)
+    with pytest.raises(ValueError, match=r"wins: shape \(3, 4\), must be \(k, k\)"):
+        rate(wins[:3], 0)
+
+
+def test_misfit_tells_circles_from_chance():
+    rng, ratios, surprises = np.random.default_rng(6), [], 0
+    for _ in range(100):
+        wins = tournament(150 * rng.normal(size=8), 50, rng)
+        found = misfit(wins, rate(wins, 0).rating)
+        ratios.append(found.ratio)
+        surprises += found.p < 0.05
+    assert 0.9 < np.mean(ratios) < 1.1 and surprises <= 12
+    stone_scissors_paper = 40 * np.roll(np.eye(3), 1, axis=1) + 10 * np.roll(np.eye(3), -1, axis=1)
+    found = misfit(stone_scissors_paper, rate(stone_scissors_paper, 0).rating)
+    assert found.ratio > 20 and found.p < 1e-6
+    assert np.isnan(misfit(np.ones((2, 2)), np.zeros(2))).all()
+
+
+def test_shares_have_wilsons_intervals_and_newcombes_difference():
+    """Newcombe 1998, the example 56/70 against 48/80: .2 [.0524, .3339]."""
+    assert Share.of(56, 70)[:3] == pytest.approx((0.8, 0.6921, 0.8771), abs=5e-4)
+    assert Share.of(56, 70).minus(Share.of(48, 80)) == pytest.approx((0.2, 0.0524, 0.3339), abs=5e-5)
+    assert Share.of(0, 0)[1:] == (0.0, 1.0, 0) and np.isnan(Share.of(0, 0).value)
+
+
+MEMBERS = [0, 2, 1, "random", "striker"]
+
+
+@pytest.fixture(scope="module")
+def score() -> np.ndarray:
+    return payoff(league_of(3), MEMBERS, rounds=4, seed=3)
+
+
+def test_every_pair_plays_its_rounds_once_for_both(score):
+    assert score.shape == (5, 5, 3)
+    assert (score.sum(axis=2) == 4 * (1 - np.eye(5))).all()
+    np.testing.assert_array_equal(score, score.transpose(1, 0, 2)[..., [1, 0, 2]])
+    shares = win_rates(score)
+    assert np.isnan(np.diag(shares)).all() and shares[4, 3] > 0.5  # a striker beats a wild paddle
+
+
+def test_payoff_follows_from_the_seed(score):
+    np.testing.assert_array_equal(payoff(league_of(3), MEMBERS, rounds=4, seed=3), score)
+
+
+def test_results_belong_to_their_pairs_however_they_are_dealt(monkeypatch):
+    """Striker and random among untrained generations, in chunks of one pair and in one."""
+    league, told = league_of(2), []
+    pairs = [(0, 1), ("striker", "random"), (1, 0), ("random", "striker")]
+    for at_once in (4, 250):
+        monkeypatch.setattr(ratings, "TABLES_AT_ONCE", at_once)
+        won = play_pairs(league, pairs, rounds=8, seed=0, tables_per_pair=4, progress=told.append)
+        assert (won.sum(axis=1) == 8).all()
+        assert won[1, 0] > won[1, 1] and won[3, 0] < won[3, 1]
+    assert told == [0.25, 0.5, 0.75, 1.0, 1.0]
+    with pytest.raises(ValueError, match="rounds = 0"):
+        play_pairs(league, pairs, 0, 0)
+    with pytest.raises(ValueError, match="generation = 7"):
+        payoff(league, [0, 7], 1, 0)
+
+
+def matches_of(seed: int = 0) -> pd.DataFrame:
+    """Ten generations that get better, each against every third before it and two anchors."""
+    rng, rows = np.random.default_rng(seed), []
+    strength = {**{g: 40.0 * g for g in range(10)}, "random": -50.0, "striker": 300.0}
+    for g in range(1, 10):
+        for other in (*range(0, g, 3), "random", "striker"):
+            won = int(rng.binomial(50, 1 / (1 + 10 ** ((strength[other] - strength[g]) / 400))))
+            rows.append((g, other, won, 50 - won, 3))
+    return pd.DataFrame(rows, columns=list(MATCHES))
+
+
+def test_matches_rate_everybody_who_occurs():
+    rated = ratings_of_matches(matches_of())
+    assert list(rated.columns) == ["member", "rating", "low", "high"]
+    assert list(rated["member"]) == [*range(10), "random", "striker"]
+    assert tuple(rated.iloc[0, 1:]) == (0, 0, 0)
+    truth = np.array([*(40.0 * g for g in range(10)), -50.0, 300.0])
+    assert ((rated["low"] <= truth) & (truth <= rated["high"])).mean() > 0.7
+    assert (ratings_of_matches(matches_of(), "striker").set_index("member").loc["striker"] == 0).all()
+    with pytest.raises(ValueError, match="no matches"):
+        ratings_of_matches(matches_of().head(0))
+
+
+def test_the_order_of_the_matches_changes_no_bit():
+    matches = matches_of()
+    rated = ratings_of_matches(matches)
+    for seed in range(5):
+        shuffled = matches.sample(frac=1, random_state=seed)
+        pd.testing.assert_frame_equal(ratings_of_matches(shuffled), rated, check_exact=True)
+    halves = pd.concat([matches, matches.assign(won=0, lost=0, undecided=9)])  # undecided rounds count for nothing
+    pd.testing.assert_frame_equal(ratings_of_matches(halves), rated, check_exact=True)
+
+
+def test_matches_survive_being_written_down(tmp_path):
+    matches = matches_of()
+    matches.to_csv(tmp_path / "matches.csv", index=False)
+    again = read_matches(tmp_path / "matches.csv")
+    assert list(again["opponent"]) == list(matches["opponent"])
+    pd.testing.assert_frame_equal(ratings_of_matches(again), ratings_of_matches(matches), check_exact=True)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("generation,opponent,won,lost\n1,0,1,2\n", "has the columns generation, opponent, won, lost, not"),
+        ("generation,opponent,won,lost,undecided\n1,0,1,-2,0\n", "row 1: lost = -2 must be a whole number"),
+        ("generation,opponent,won,lost,undecided\n1,0,1,2,0\n2,0,x,2,0\n", "row 2: won = x must be a whole number"),
+        ("generation,opponent,won,lost,undecided\n1,0,1.5,2,0\n", "won = 1.5 must be a whole number"),
+        ("generation,opponent,won,lost,undecided\n1,,1,2,0\n", "opponent = nan must be a generation or an anchor"),
+        ("", "No columns"),
+        ('generation,opponent,won,lost,undecided\n"1,0', "matches.csv"),
+    ],
+)
+def test_a_file_of_something_else_is_refused(tmp_path, text, message):
+    (tmp_path / "matches.csv").write_text(text)
+    with pytest.raises(ValueError, match=message) as refused:
+        read_matches(tmp_path / "matches.csv")
+    assert "matches.csv" in str(refused.value)
+    with pytest.raises(ValueError, match="no such file"):
+        read_matches(tmp_path / "nowhere.csv")

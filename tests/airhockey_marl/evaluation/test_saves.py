@@ -1,0 +1,127 @@
+"""Saves: what is a shot on goal, who stopped it, and that the count can be repeated."""
+
+import math
+
+import numpy as np
+import torch
+
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.world import Tables
+from airhockey_marl.evaluation.saves import NO_PADDLE, Saves, defence, record, would_score
+from airhockey_marl.players.players import sampled
+from airhockey_marl.players.scripted import ANCHORS
+
+TABLE = Table()
+EMPTY = TABLE._replace(paddle_radius=NO_PADDLE)
+HOME, ASIDE = (-0.6, 0.0, 0.0, 0.0), (-0.2, 0.45, 0.0, 0.0)  # a paddle before the goal, and out of the way
+ATTACKER = (0.3, 0.0, 0.0, 0.0)
+
+
+def bodies(puck, player=ASIDE, attacker=ATTACKER):
+    return np.array([player, attacker, puck], dtype=float)
+
+
+def played(puck, player=ASIDE, attacker=ATTACKER, seconds=2.0):
+    """(blocked, conceded) at one table whose paddles stand still, until a goal or for so long."""
+    tables = Tables(1)
+    tables.new_rounds()
+    tables.bodies[0] = bodies(puck, player, attacker)
+    shot, counts = np.array([False]), np.zeros(2, dtype=np.int64)
+    for _ in range(round(seconds / TABLE.tick)):
+        tables.step(np.full((1, 2, 2), np.nan))
+        record(shot, counts, tables.bodies, tables.goals, tables.touched, tables.served, EMPTY)
+        if tables.goals[0]:
+            break
+    return tuple(counts.tolist())
+
+
+def from_attacker(y, vx, vy):
+    """A puck that bounces off the attacker's resting paddle in the first tick, toward the left."""
+    reach = TABLE.puck_radius + TABLE.paddle_radius
+    return (ATTACKER[0] - reach - 0.01, y, -vx / TABLE.paddle_restitution, vy)
+
+
+def test_the_physics_says_what_would_score():
+    for paddle in (ASIDE, HOME):  # whoever is in the way
+        assert would_score(bodies((0.2, 0.0, -3.0, 0.0), paddle), EMPTY)
+    assert not would_score(bodies((0.2, 0.3, -3.0, 0.0)), EMPTY)
+    assert not would_score(bodies((0.2, 0.0, 3.0, 0.3)), EMPTY)
+    assert not would_score(bodies((0.2, 0.0, -0.05, 0.0)), EMPTY)  # not within the foresight
+    side = TABLE.width / 2 - TABLE.puck_radius
+    rise = side * (1 + 1 / TABLE.wall_restitution)  # over the side wall, from the middle to the middle
+    slope = rise / (0.2 + TABLE.length / 2)
+    assert would_score(bodies((0.2, 0.0, -3.0, 3.0 * slope)), EMPTY)
+
+
+def test_asking_leaves_the_table_alone():
+    state = bodies((0.2, 0.1, -3.0, 0.5), HOME)
+    before = state.copy()
+    would_score(state, EMPTY)
+    assert np.array_equal(state, before)
+
+
+def test_paddles_that_are_taken_away_are_met_nowhere():
+    """A puck sent into a corner comes back as it does from bare walls."""
+    side, end = TABLE.width / 2 - TABLE.puck_radius, TABLE.length / 2 - TABLE.puck_radius
+    for sign in (-1, 1):
+        corner = bodies((-end + 0.05, sign * (side - 0.05), -2.0, sign * 2.0))
+        tables = Tables(1)
+        tables.new_rounds()
+        tables.bodies[0] = corner
+        tables.step(np.full((1, 2, 2), np.nan), 5)
+        assert tables.touched[0] == 0
+        assert would_score(corner, EMPTY) == would_score(tables.bodies[0], EMPTY)
+
+
+def test_a_shot_at_an_undefended_goal_is_conceded():
+    assert played(from_attacker(0.0, -3.0, 0.0)) == (0, 1)
+
+
+def test_a_paddle_in_the_way_blocks():
+    assert played(from_attacker(0.0, -3.0, 0.0), HOME, seconds=0.4) == (1, 0)
+
+
+def test_a_shot_that_is_only_grazed_is_still_conceded():
+    reach = TABLE.puck_radius + TABLE.paddle_radius
+    graze = (-0.5, 0.9999 * reach, 0.0, 0.0)
+    assert played(from_attacker(0.0, -3.0, 0.0), graze) == (0, 1)
+
+
+def test_a_shot_at_the_wall_is_none():
+    assert played(from_attacker(0.03, -3.0, 2.0)) == (0, 0)
+    assert played(from_attacker(0.03, -3.0, 2.0), HOME) == (0, 0)
+
+
+def test_what_the_attacker_did_not_shoot_is_none():
+    assert played((0.1, 0.0, -3.0, 0.0)) == (0, 0)  # it scores
+    assert played((0.1, 0.0, -3.0, 0.0), HOME, seconds=0.4) == (0, 0)
+
+
+def test_a_new_serve_ends_a_shot():
+    shot, counts = np.array([True]), np.zeros(2, dtype=np.int64)
+    one, none = np.ones(1, dtype=np.int64), np.zeros(1, dtype=np.int64)
+    state = bodies((0.0, 0.0, -1.0, 0.0))[None]
+    record(shot, counts, state, none, none, np.array([True]), EMPTY)
+    assert not shot[0]
+    record(shot, counts, state, -one, none, np.array([False]), EMPTY)
+    assert counts.tolist() == [0, 0]
+
+
+def test_rate():
+    assert Saves(3, 1).rate == 0.75
+    assert math.isnan(Saves(0, 0).rate)
+
+
+def stay(observation):
+    return torch.full((len(observation), 2), math.nan)
+
+
+def test_defence_counts_shots_on_the_left_goal_and_can_be_repeated():
+    def striker(seed):
+        return sampled(ANCHORS["striker"], torch.Generator().manual_seed(seed))
+
+    saves = defence(stay, striker(0), 20, 3, round_seconds=10.0)
+    assert saves.conceded > 5
+    assert defence(stay, striker(0), 20, 3, round_seconds=10.0) == saves
+    assert defence(stay, striker(0), 20, 4, round_seconds=10.0) != saves
+    assert defence(striker(0), stay, 20, 3, round_seconds=10.0).conceded == 0

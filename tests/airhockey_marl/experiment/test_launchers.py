@@ -1,0 +1,106 @@
+"""Sweeps on many processes: whoever runs the jobs, they come out alike, apart, and whole where others fail."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from airhockey_marl.experiment import command as cli
+from airhockey_marl.experiment.run_folder import runs_below
+from guidance.statistics.report import gather
+from tests import ROOT
+from tests.airhockey_marl.commands.test_cli import start
+
+SEEDS = "seed=1,-1"  # the second is refused
+SWEEP = ["guidance.evaluate", "-m", "+preset=smoke", "condition=nhg,oahg"]
+
+
+@pytest.fixture(scope="module")
+def one_after_another(tmp_path_factory) -> dict[str, str]:
+    """What the jobs give in this order without any launcher."""
+    folder = tmp_path_factory.mktemp("basic")
+    jobs = sweep(folder, SEEDS)
+    assert jobs.returncode == 2
+    return trials_of(folder)
+
+
+def sweep(folder: Path, *more: str, **environment: str) -> subprocess.CompletedProcess:
+    command = [sys.executable, "-m", *SWEEP, *more, f"hydra.sweep.dir={folder}"]
+    env = os.environ | environment
+    return subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=300, check=False)
+
+
+def trials_of(folder: Path) -> dict[str, str]:
+    """The trials of each job that has any, by its folder's name."""
+    return {file.parent.name: file.read_text() for file in folder.glob("*/trials.csv")}
+
+
+def check_sweep(folder: Path, done: subprocess.CompletedProcess, expected: dict[str, str]) -> None:
+    """All jobs had folders of their own; those with a right seed are whole and alike, the others are said to fail."""
+    assert done.returncode == 2, done.stderr
+    assert "\nerror: a job failed: seed = -1 must be a whole number of at least 0;" in "\n" + done.stderr
+    assert "Traceback" not in done.stderr
+    assert trials_of(folder) == expected and set(expected) == {"0", "2"}
+    states = {run.folder.name: run.state for run in runs_below(folder)}
+    assert states == {str(job): "failed" if job % 2 else "done" for job in range(4)}
+    for job in (1, 3):
+        assert "seed = -1" in json.loads((folder / str(job) / "run.json").read_text())["error"]
+
+
+def test_joblib_runs_them_side_by_side(one_after_another, tmp_path):
+    done = sweep(tmp_path, SEEDS, "hydra/launcher=cores", "hydra.launcher.n_jobs=2")
+    check_sweep(tmp_path, done, one_after_another)
+    pids = {json.loads((tmp_path / str(job) / "run.json").read_text())["pid"] for job in range(4)}
+    assert len(pids) == 2
+
+
+@pytest.mark.slow
+def test_submitit_runs_each_in_a_process_of_its_own(one_after_another, tmp_path):
+    pytest.importorskip("submitit")
+    done = sweep(tmp_path, SEEDS, "hydra/launcher=slurm_here")
+    check_sweep(tmp_path, done, one_after_another)
+    pids = {json.loads((tmp_path / str(job) / "run.json").read_text())["pid"] for job in range(4)}
+    assert len(pids) == 4
+
+
+def test_a_ray_cluster_runs_them(one_after_another, tmp_path, monkeypatch):
+    ray = pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # or Ray writes a token into the home folder
+    address = ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False).address_info["gcs_address"]
+    try:
+        done = sweep(tmp_path, SEEDS, "hydra/launcher=ray", f"hydra.launcher.init.address={address}")
+    finally:
+        ray.shutdown()
+    check_sweep(tmp_path, done, one_after_another)
+
+
+@pytest.mark.slow
+def test_what_a_sweep_left_is_merged_where_it_is_of_one_study(tmp_path):
+    done = sweep(tmp_path / "s", "users=default,novice", "seed=range(1,3)", "hydra/launcher=cores")
+    assert done.returncode == 0, done.stderr
+    refused = start("guidance.commands.report", f"runs={tmp_path}/s", f"hydra.run.dir={tmp_path}/r")
+    assert refused.returncode == 2 and "are of different studies and cannot be merged" in refused.stderr
+    assert gather([tmp_path / "s" / job for job in ("0", "1", "4", "5")]).size == 8  # default, seeds 1 and 2
+    merged = start("guidance.commands.report", f"runs={tmp_path}/s", "mixed=true", f"hydra.run.dir={tmp_path}/r")
+    assert merged.returncode == 0, merged.stderr
+    assert gather([tmp_path / "s"], mixed=True).size == 16
+
+
+@pytest.mark.parametrize(
+    ("argument", "extra"),
+    [
+        ("hydra/launcher=cores", "joblib"),
+        ("hydra/launcher=slurm", "submitit"),
+        ("hydra/launcher=slurm_here", "submitit"),
+        ("hydra/launcher=ray", "ray"),
+        ("hydra/sweeper=optuna", "optuna"),
+    ],
+)
+def test_what_is_not_installed_is_named(monkeypatch, argument, extra):
+    monkeypatch.setattr(cli, "find_spec", lambda name: None)
+    assert f"airhockey-haptics[{extra}]" in cli.missing_extra(["seed=1", argument])
+    monkeypatch.setattr(cli, "find_spec", lambda name: name)
+    assert cli.missing_extra(["seed=1", argument]) is None

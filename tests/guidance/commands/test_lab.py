@@ -1,0 +1,314 @@
+"""The experiment, whole: a simulated person takes the seat, at a window and without one; nothing finished is lost."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from contextlib import redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pygame
+import pytest
+
+from guidance.commands import evaluate, lab
+from guidance.display.window import NARROWEST, Window
+from guidance.haptics.clock import HurriedClock
+from guidance.simulated_users.ratings import RATINGS
+from guidance.statistics import report
+from guidance.study.tick_log import read_ticks
+from tests import ROOT
+
+SMOKE = ["device=simulated", "window=false", "+preset=smoke"]
+
+
+def here(command: Callable[[], None], *arguments: str) -> tuple[int, str, str]:
+    """Run a command in this process, which saves seconds of imports: exit code, standard output and error."""
+    said, complained, argv = StringIO(), StringIO(), sys.argv
+    sys.argv, code = ["command", *arguments], 0
+    try:
+        with redirect_stdout(said), redirect_stderr(complained):
+            command()
+    except SystemExit as stopped:
+        code = stopped.code
+    finally:
+        sys.argv = argv
+    return code, said.getvalue(), complained.getvalue()
+
+
+def take_part(folder: Path, participant: str, *more: str) -> tuple[int, str, str]:
+    where = f"records={folder}/records", f"hydra.run.dir={folder}/run"
+    return here(lab.main, *SMOKE, f"participant={participant}", *where, *more)
+
+
+@pytest.fixture(scope="module")
+def two(tmp_path_factory) -> Path:
+    """The records of two simulated people."""
+    folder = tmp_path_factory.mktemp("lab")
+    for label in ("S1", "S2"):
+        code, said, complained = take_part(folder, label)
+        assert code == 0, complained
+        assert f"{label}: 9 of 9 games are played and rated." in said
+    return folder
+
+
+def test_a_session_is_the_study_of_simulated_people_in_another_seat(two):
+    """The same order and columns as `evaluate`; and where no force differs in its course, the same game to the bit."""
+    assert here(evaluate.main, "+preset=smoke", f"hydra.run.dir={two}/study")[0] == 0
+    session, study = pd.read_csv(two / "records" / "trials.csv"), pd.read_csv(two / "study" / "trials.csv")
+    study["user"] = study["user"].map({"S01": "S1", "S02": "S2"})
+    study = study.dropna(subset="user")
+    assert list(session) == list(study) and len(session) == len(study) == 18
+    both = session.merge(study, on=["user", "condition"], suffixes=("", "_study"))
+    assert (both["position"] == both["position_study"]).all() and (both["seed"] == 2021).all()
+    unguided = both[both["condition"] == "nhg"]
+    for name in ("win_rate", "mean_smash_speed", "defense_rate", "rounds", "duration_s", *RATINGS):
+        assert np.array_equal(unguided[name], unguided[f"{name}_study"], equal_nan=True), name
+    assert both["mean_disagreement"].isna().equals(both["mean_disagreement_study"].isna())
+
+
+def test_what_is_recorded_says_what_was_played(two):
+    trials = pd.read_csv(two / "records" / "trials.csv").set_index(["user", "condition"])
+    file = next((two / "records" / "sub-S1" / "beh").glob("*acq-oahgut_run-*_beh.tsv"))
+    ticks, about = read_ticks(file), json.loads(file.with_suffix(".json").read_text())
+    game = ticks[ticks["scored"] == 1]
+    row = trials.loc["S1", "oahg_ut"]
+    assert game["round"].max() == row["rounds"] and len(game) * 0.02 == pytest.approx(row["duration_s"])
+    assert len(ticks) - len(game) == 50  # the familiarisation, 1 s in this preset
+    assert np.isclose(game["w_unc_optimal"].mean(), row["w_unc_optimal_mean"])
+    assert about["Condition"] == "oahg_ut" and about["Ratings"] == {name: row[name] for name in RATINGS}
+    assert about["Facts"]["title"] == "OAHG (UT)" and about["Facts"]["questions"].keys() == set(RATINGS)
+    assert (about["Facts"]["pauses"], about["Facts"]["faults"], about["Facts"]["late_ticks"]) == (0, [], 0)
+    assert (ticks["held"] == 1).all()
+    assert "oahg" not in json.dumps(json.loads((two / "records" / "participants.json").read_text())).lower()
+
+
+def test_the_report_takes_the_records_as_they_are(two):
+    code, _, complained = here(report.main, f"runs={two}/records", f"out={two}/report", f"hydra.run.dir={two}/r")
+    assert code == 0, complained
+    assert (two / "report" / "report.html").is_file()
+
+
+def test_somebody_withdraws(two):
+    """Whatever else the command says: who wants to go need not know the study's configuration."""
+    folder = two / "records"
+    nowhere = here(lab.main, "participant=S1", "withdraw=true", f"records={two}/nowhere", f"hydra.run.dir={two}/run")
+    assert nowhere[0] == 2 and "holds no study" in nowhere[2] and not (two / "nowhere").exists()
+    code, _, complained = take_part(two, "S3", "withdraw=true")
+    assert code == 2 and "withdraw = S3 must be one of those enrolled: S1, S2" in complained
+    assert take_part(two, "new")[0] == 0
+    (label,) = {path.name for path in folder.glob("sub-*")} - {"sub-S1", "sub-S2"}
+    place = pd.read_csv(folder / "participants.tsv", sep="\t").set_index("participant_id")["place"]
+    assert place[label] == 2
+    who = f"participant={label.removeprefix('sub-')}", "withdraw=true"
+    assert here(lab.main, *who, f"records={folder}", f"hydra.run.dir={two}/run", "device=mouse", "opponent=3")[0] == 0
+    left = "".join(path.read_text() for path in folder.rglob("*") if path.is_file())
+    assert not (folder / label).exists() and label.removeprefix("sub-") not in left
+    assert set(pd.read_csv(folder / "trials.csv")["user"]) == {"S1", "S2"}
+
+
+def test_a_session_that_is_killed_goes_on_and_ends_like_one_that_was_not(two, tmp_path):
+    """At whatever moment it is."""
+    command = [sys.executable, "-m", "guidance.commands.lab", *SMOKE, "participant=S1", f"records={tmp_path}/records"]
+    command.append(f"hydra.run.dir={tmp_path}/run")
+    beh, rng, kills = tmp_path / "records" / "sub-S1" / "beh", np.random.default_rng(0), 0
+    for wanted in rng.permutation(10)[:6]:  # games that are there when it is killed, and some time after
+        if len(list(beh.glob("*run-[0-9]_beh.json"))) > wanted:
+            continue
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        while len(list(beh.glob("*run-[0-9]_beh.json"))) <= wanted and process.poll() is None:
+            time.sleep(0.002)
+        time.sleep(rng.uniform(0, 0.3))
+        process.send_signal(signal.SIGKILL)
+        process.wait()
+        kills += 1
+    assert kills >= 2
+    ends_alike(command, tmp_path, two)
+
+
+def ends_alike(command: list[str], folder: Path, two: Path) -> None:
+    """Go on with the session of S1 in this folder, to its end: its games are those of S1 in `two`."""
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0 and "9 of 9" in done.stdout, done.stderr
+    again, whole = (pd.read_csv(place / "records" / "trials.csv") for place in (folder, two))
+    pd.testing.assert_frame_equal(again, whole[whole["user"] == "S1"].reset_index(drop=True))
+    files = list((folder / "records" / "sub-S1" / "beh").glob("*run-[0-9]_beh.tsv"))
+    assert len(files) >= 9
+    for file in files:
+        assert file.read_bytes() == (two / "records" / "sub-S1" / "beh" / file.name).read_bytes()
+
+
+@pytest.mark.slow
+def test_twenty_kills_of_a_session_leave_no_trace(two, tmp_path):
+    """At random moments, from before the first record on; a session that ends all the same is followed by another."""
+    rng, kills, sessions, went_on = np.random.default_rng(1), 0, 1, 0
+    while kills < 20:
+        folder = tmp_path / f"{sessions}"
+        command = [sys.executable, "-m", "guidance.commands.lab", *SMOKE, "participant=S1", f"records={folder}/records"]
+        command.append(f"hydra.run.dir={folder}/run")
+        beh = folder / "records" / "sub-S1" / "beh"
+        before = len(list(beh.glob("*")))
+        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
+        while rng.random() < 0.9995 and len(list(beh.glob("*"))) == before and process.poll() is None:
+            time.sleep(0.01)  # seldom before it plays at all
+        time.sleep(rng.uniform(0.0, 0.5))
+        process.send_signal(signal.SIGKILL)
+        if process.wait() == 0:
+            ends_alike(command, folder, two)
+            sessions += 1
+            continue
+        assert process.returncode == -signal.SIGKILL, process.stderr.read()
+        kills, went_on = kills + 1, went_on + (before > 0)
+    ends_alike(command, folder, two)
+    assert went_on >= 10
+
+
+class Reader(Window):
+    """A window before which somebody presses the right keys: it remembers what it showed.
+
+    Attributes:
+        answer: keys that are pressed on a page that has them, before any other of its keys.
+        leave_at: s, when escape is pressed in a game.
+    """
+
+    answer: tuple[str, ...] = ("y", "return")
+    leave_at: float = float("inf")
+
+    def __init__(self, *how, **more) -> None:
+        super().__init__(*how, **more)
+        self.read, self.titles = [], set()
+        Reader.last = self
+
+    def press(self, *keys: str) -> None:
+        for key in keys:
+            text = key if len(key) == 1 else ""
+            code = pygame.key.key_code(key)
+            pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=code, unicode=text, mod=0))
+
+    def page(self, page) -> str:
+        self.read.append((page.title, page.text))
+        return super().page(page)
+
+    def _part(self, page) -> str:
+        self.press(next(key for key in (*self.answer, *page.keys) if key in page.keys))
+        return super()._part(page)
+
+    def _wait(self) -> None:
+        assert self.clock.now() < 3600, "a page waits for ever"
+        super()._wait()
+
+    def ask(self, items) -> dict[str, int]:
+        self.read.append((items.title, " ".join(items.items.values())))
+        self.press("3", "4", "5", "6", "return")
+        return super().ask(items)
+
+    def write_down(self, page) -> str:
+        self.press("o", "k", "return")
+        return super().write_down(page)
+
+    def frame(self, moment) -> list[str]:
+        self.titles.add(moment.title)
+        if "Practice" in moment.title and self.clock.now() > 1.0:
+            self.press("return")
+        if self.clock.now() > self.leave_at:
+            self.press("escape")
+        return super().frame(moment)
+
+
+@pytest.fixture
+def at_a_window(monkeypatch, tmp_path):
+    """P1's session at a window, as the command holds it, but for the clock."""
+    monkeypatch.setattr(lab, "WallClock", HurriedClock)
+    monkeypatch.setattr(lab, "Window", Reader)
+
+    def session(**habits) -> tuple[Reader, str]:
+        for name, value in habits.items():
+            monkeypatch.setattr(Reader, name, value)
+        where = f"records={tmp_path}/records", f"hydra.run.dir={tmp_path}/run"
+        how = "device=simulated", "+preset=smoke", "participant=P1", "breath=0.2", f"width={NARROWEST}"
+        code, said, complained = here(lab.main, *how, *where)
+        assert code == 0, complained
+        return Reader.last, said
+
+    return session, tmp_path / "records"
+
+
+def test_who_does_not_consent_plays_nothing(at_a_window):
+    session, folder = at_a_window
+    window, said = session(answer=("n",))
+    assert "P1 does not take part" in said and [title for title, _ in window.read] == ["Before you take part"]
+    assert not list(folder.glob("sub-*")) and "P1" not in (folder / "participants.tsv").read_text()
+    assert json.loads((folder / "manifest.json").read_text())["withdrawals"] == 0
+    assert "P1" not in "".join(path.read_text() for path in folder.parent.rglob("*") if path.is_file())
+
+
+def test_a_session_at_a_window_shows_every_page_and_never_the_condition(at_a_window):
+    session, folder = at_a_window
+    window, said = session(leave_at=30.0)  # in some game
+    assert "It goes on with participant=P1." in said
+    begun = len(pd.read_csv(folder / "trials.csv"))
+    assert 1 <= begun < 9
+    again, said = session(leave_at=float("inf"))
+    assert "P1: 9 of 9 games are played and rated." in said
+    trials = pd.read_csv(folder / "trials.csv")
+    assert len(trials) == 9 and (trials[list(RATINGS)] == [3, 4, 5, 6]).all(axis=None)
+    (file,) = list(folder.rglob("*acq-nhg_run-*_beh.json"))
+    assert json.loads(file.read_text())["Interview"] == "ok"
+    first, second = [title for title, _ in window.read], [title for title, _ in again.read]
+    assert first[:4] == ["Before you take part", "Practice", "A first game", "Game 1 of 9"]
+    assert second[-1] == "Thank you" and len([title for title in second if title.endswith("guidance?")]) == 9 - begun
+    shown = " ".join([*(f"{title} {text}" for title, text in window.read + again.read), *window.titles, *again.titles])
+    assert not any(name in shown for name in ("OAHG", "UPHG", "CombHG", "NHG"))
+
+
+def test_without_its_device_nobody_is_enrolled(tmp_path):
+    for device in ("forcedimension", "gamepad"):
+        where = f"records={tmp_path}/{device}", f"hydra.run.dir={tmp_path}/run"
+        code, _, complained = here(lab.main, "participant=new", f"device={device}", *where)
+        assert code == 2 and complained.startswith("error: device: ") and complained.count("\n") == 1, complained
+        assert not (tmp_path / device).exists()  # and no study begun, which another device could then not go on with
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["participant=../../x"], "participant = '../../x' must be 1 to 16 letters and digits"),
+        (["device=mouse"], "window = false must be true for device = mouse"),
+        (["device=omega"], "device = omega must be one of forcedimension, gamepad, mouse, simulated"),
+        (["consent=nowhere.txt"], "consent = nowhere.txt must be a file with a text"),
+        (["~questions.comfort"], "questions = helpfulness, naturalness, controllability must be"),
+        (["scale=[a]"], "scale = ['a'] must be two texts"),
+        (["withdraw=perhaps"], "withdraw = perhaps must be true or false"),
+        (["breath=-1"], "breath = -1 must be a number of at least 0.0 and at most 10.0"),
+        (["safety.speed=0"], "safety.speed = 0 must be a finite number above 0"),
+        (["opponent=1000"], "generation = 1000"),
+        (["users.variant=V9"], "users.variant = 'V9' must be one of V0, V1, V2"),
+        (["participants=0"], "participants = 0 must be a whole number of at least 1"),
+    ],
+)
+def test_wrong_values_end_in_one_line_and_leave_nothing(monkeypatch, capsys, tmp_path, arguments, message):
+    given = [] if any(argument.startswith("participant=") for argument in arguments) else ["participant=P1"]
+    device = [] if any(argument.startswith("device=") for argument in arguments) else ["device=simulated"]
+    run = ["window=false", f"records={tmp_path}/records", f"hydra.run.dir={tmp_path}/run"]
+    monkeypatch.setattr(sys, "argv", ["lab", *device, *given, *run, *arguments])
+    monkeypatch.setattr(lab, "Session", None)
+    with pytest.raises(SystemExit) as stopped:
+        lab.main()
+    shown = capsys.readouterr().err
+    assert stopped.value.code == 2 and shown.count("\n") == 1 and message in shown, shown
+    assert not list(tmp_path.rglob("sub-*"))
+
+
+def test_there_are_as_many_places_as_the_order_is_balanced_for(two):
+    for other in ("participants=2", "scale=[wenig,viel]", "safety.force=2", "breath=2"):
+        code, _, complained = take_part(two, "S9", other)
+        assert code == 2 and "study_hash" in complained  # another study: not in these records
+    folder = two / "full"
+    assert take_part(folder, "S1", "participants=1")[0] == 0
+    code, _, complained = take_part(folder, "S2", "participants=1")
+    assert code == 2 and "participants = 1: all places are taken" in complained
+    assert not (folder / "records" / "sub-S2").exists()

@@ -1,0 +1,234 @@
+"""The game at the window: keys choose the guidance, play is recorded, the user model becomes the player's own."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.experiment.command import CONF
+from airhockey_marl.league.league import League
+from guidance.commands import play, watch
+from guidance.commands.play import LEAST_DEMONSTRATION, Play
+from guidance.haptics.clock import HurriedClock
+from guidance.haptics.devices.mouse import Mouse
+from guidance.haptics.devices.simulated import Simulated
+from guidance.haptics.safety import Limits
+from guidance.haptics.seat import Dark, Seat
+from guidance.haptics.servo import Inline
+from guidance.sessions.recording import games_in
+from guidance.simulated_users import Users, sample_people
+from guidance.study.models import Models
+from guidance.study.protocol import streams
+from guidance.study.provenance import chosen_conditions
+from guidance.study.tick_log import COLUMNS, demonstration, read_ticks
+from tests import ROOT
+from tests.airhockey_marl.commands.test_cli import start
+
+TABLE = Table()
+
+
+class Keys(Dark):
+    """No screen, but keys: (tick, key) pairs."""
+
+    def __init__(self, clock: HurriedClock, *pressed: tuple[int, str]) -> None:
+        self.clock, self.pressed, self.moments = clock, list(pressed), []
+
+    @property
+    def next_frame(self) -> float:
+        return self.pressed[0][0] * TABLE.tick if self.pressed else float("inf")
+
+    def frame(self, moment) -> list[str]:
+        self.moments.append((moment.title, moment.note))
+        return [self.pressed.pop(0)[1]]
+
+
+@pytest.fixture(scope="module")
+def shipped():
+    with initialize_config_dir(str(CONF), version_base=None):
+        cfg = compose("evaluate")
+    models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
+    conditions = {str(i + 1): condition for i, condition in enumerate(chosen_conditions(cfg))}
+    return models, conditions, League.load(cfg.models.opponents)
+
+
+def played(shipped, folder: Path, seconds: float, *pressed: tuple[int, str], seed: int = 3) -> tuple[Play, Keys]:
+    models, conditions, opponents = shipped
+    clock = HurriedClock()
+    person = Users(sample_people(1, seed), streams(seed, [0], 0, 0), TABLE)
+    screen = Keys(clock, *pressed)
+    seat = Seat(Inline(Simulated(person), Limits()), screen, clock, TABLE.tick, breath=0.0, person=person)
+    game = Play(conditions, models, opponents, 55, 0.1, 60.0, seat, streams(seed, [0], 0, 1), folder)
+    game.run(conditions["1"], seconds)
+    return game, screen
+
+
+def test_keys_choose_guidances_and_every_stretch_is_a_recording(shipped, tmp_path):
+    game, _ = played(shipped, tmp_path, 6.0, (100, "2"), (200, "3"), (250, "page up"))
+    names = ["01nhg", "02oahg", "03oahgut", "04oahgut"]
+    games = games_in(tmp_path)
+    assert list(games) == names == list(game.games)
+    tables = [read_ticks(games[name].file) for name in names]
+    assert sum(map(len, tables)) == 300 and all(list(table) == list(COLUMNS) for table in tables)
+    forces = [np.hypot(table["force_x"], table["force_y"]).mean() for table in tables]
+    assert forces[0] == 0 and min(forces[1:]) > 0.05
+    assert tables[0]["w_unc_optimal"].isna().all() and tables[2]["w_unc_optimal"].notna().all()
+    felt = np.hypot(tables[1]["felt_x"], tables[1]["felt_y"])
+    asked = np.hypot(tables[1]["force_x"], tables[1]["force_y"])
+    assert 0.5 < felt.max() <= 3.0 and np.mean(np.abs(felt - asked) < 1e-5) > 0.8  # but where it changes too fast
+    assert (
+        games["04oahgut"].facts["opponent"] == "generation 60"
+        and games["03oahgut"].facts["opponent"] == "generation 55"
+    )
+    assert list(game.summary()["duration_s"].round(2)) == [len(table) * 0.02 for table in tables]
+
+
+def test_the_same_keys_give_the_same_bytes(shipped, tmp_path):
+    for name in ("one", "other"):
+        played(shipped, tmp_path / name, 4.0, (50, "2"), (120, "8"))
+    for file in sorted((tmp_path / "one").glob("*.tsv")):
+        assert file.read_bytes() == (tmp_path / "other" / file.name).read_bytes()
+
+
+def test_a_guidance_with_ua_waits_for_the_players_own_game(shipped, tmp_path):
+    enough = LEAST_DEMONSTRATION
+    game, screen = played(
+        shipped,
+        tmp_path,
+        (enough + 150) * TABLE.tick,
+        (100, "9"),  # refused
+        (101, "x"),
+        (150, "a"),  # too early
+        (151, "x"),
+        (enough + 50, "a"),
+        (enough + 51, "x"),
+        (enough + 60, "9"),
+        (enough + 62, "x"),
+    )
+    notes = [note for _, note in screen.moments]
+    assert any("needs a model of you" in note for note in notes) and any("s more" in note for note in notes)
+    assert any("the user model is yours now" in note for note in notes)
+    assert list(game.games) == ["01nhg", "02nhg", "03combhgutuasc"]
+    models = shipped[0]
+    own = models.adapted_to([demonstration(game.games["01nhg"].ticks())])
+    for adapted, again in zip(game.adapted.values(True, True), own.values(True, True), strict=True):
+        assert torch.equal(adapted, again)  # what was learned from is what was recorded
+    ticks = game.games["03combhgutuasc"].ticks()
+    assert ticks["w_sim"].notna().all() and game.games["03combhgutuasc"].facts["adapted"]
+    general = game.games["01nhg"].ticks()
+    assert len(general) == enough + 51 and not game.games["01nhg"].facts["adapted"]
+
+
+def test_a_mouse_plays_where_it_points(shipped, tmp_path):
+    models, conditions, opponents = shipped
+    clock, mouse = HurriedClock(), Mouse()
+    seat = Seat(Inline(mouse, Limits()), Dark(), clock, TABLE.tick, breath=0.0)
+    game = Play(conditions, models, opponents, 0, 0.1, 60.0, seat, streams(1, [0], 0, 1), tmp_path)
+    mouse.point(0.03, -0.06)
+    game.run(conditions["1"], 1.0)
+    ticks = game.games["01nhg"].ticks()
+    assert np.allclose(ticks[["action_x", "action_y"]].iloc[-1], [0.4, -0.8], atol=1e-6)
+    game = Play(conditions, models, opponents, 0, 0.1, 60.0, seat, streams(1, [0], 0, 1), tmp_path / "pushed")
+    game.run(conditions["2"], 4.0)
+    ticks = game.games["01oahg"].ticks()
+    pulled = ticks[["action_x", "action_y"]].to_numpy() - [0.4, -0.8]
+    asked = ticks[["force_x", "force_y"]].to_numpy()
+    assert np.abs(pulled).max() > 0.05  # guidance is felt as a pull on the cursor
+    still = np.abs(np.diff(asked, axis=0)).max(axis=1) < 0.3
+    assert np.mean(np.sum(pulled[1:] * asked[1:], axis=1)[still] > 0) > 0.7  # mostly toward where it pulls
+
+
+def test_what_was_played_is_shown_again(shipped, tmp_path, monkeypatch):
+    played(shipped, tmp_path / "play", 4.0, (100, "2"))
+    for name, arguments, label in (
+        ("last", [f"run={tmp_path}/play"], "OAHG (vanilla)"),
+        ("first", [f"run={tmp_path}/play", "game=01nhg", "start=0.5"], "NHG"),
+        ("file", [f"run={tmp_path}/play/task-airhockey_acq-01nhg_beh.tsv"], "NHG"),
+    ):
+        monkeypatch.setattr(sys, "argv", ["watch", "seconds=1", f"hydra.run.dir={tmp_path}/{name}", *arguments])
+        watch.main()
+        ticks = pd.read_csv(tmp_path / name / "watch.csv")
+        assert len(ticks) == 50 and (tmp_path / name / "watch.gif").stat().st_size > 10_000
+        assert (ticks["force_x"].abs().sum() > 0) == label.startswith("OAHG")
+    assert pd.read_csv(tmp_path / "first" / "watch.csv")["time_s"].iloc[0] == 0.52
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["run={folder}/play", "game=07nhg"], "game = 07nhg must be one of 01nhg"),
+        (["run={folder}/play", "start=50"], "start = 50"),
+        (["run={folder}/nowhere"], "nowhere"),
+        (["run={folder}/play", "start=-1"], "start = -1 must be a number of at least 0"),
+    ],
+)
+def test_what_was_not_played_is_refused(shipped, tmp_path, monkeypatch, capsys, arguments, message):
+    played(shipped, tmp_path / "play", 0.4)
+    arguments = [argument.format(folder=tmp_path) for argument in arguments]
+    monkeypatch.setattr(sys, "argv", ["watch", f"hydra.run.dir={tmp_path}/run", *arguments])
+    with pytest.raises(SystemExit) as stopped:
+        watch.main()
+    shown = capsys.readouterr().err
+    assert stopped.value.code == 2 and shown.count("\n") == 1 and message in shown
+
+
+def test_the_command_plays_in_real_time_and_says_how_it_went(tmp_path):
+    done = start("guidance.commands.play", "device=simulated", "seconds=2", "breath=0", f"hydra.run.dir={tmp_path}")
+    assert done.returncode == 0, done.stderr
+    (game,) = games_in(tmp_path).values()
+    assert len(game.ticks()) == 100
+    assert "01 NHG, generation 55" in done.stdout and f"again: airhockey watch run={tmp_path}" in done.stdout
+    description = json.loads(game.file.with_suffix(".json").read_text())
+    assert description["felt_x"]["Units"] == "N"
+
+
+def test_who_is_told_to_end_ends_well(tmp_path):
+    command = [
+        sys.executable,
+        "-m",
+        "guidance.commands.play",
+        "device=simulated",
+        "seconds=60",
+        f"hydra.run.dir={tmp_path}",
+    ]
+    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
+    while not list(tmp_path.glob("*_beh.tsv")) and process.poll() is None:
+        time.sleep(0.01)
+    time.sleep(1.0)
+    process.send_signal(signal.SIGTERM)
+    said, _ = process.communicate(timeout=20)
+    assert process.returncode == 0 and "again: airhockey watch" in said
+    (game,) = games_in(tmp_path).values()
+    assert len(game.ticks()) == pytest.approx(game.results["duration_s"] / TABLE.tick)
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("device=cuda", "device = cuda must be one of forcedimension, gamepad, mouse, simulated"),
+        ("device=joystick", "device = joystick must be one of forcedimension, gamepad, mouse, simulated"),
+        ("device.fastest=0", "device.fastest = 0 must be a number above 0"),
+        ("device=gamepad", "device: gamepad = 0 must be the index of a connected gamepad, of which there are 0"),
+        ("condition=uphg_ua", "condition = uphg_ua needs a model of you"),
+        ("opponent=1000", "generation = 1000"),
+        ("seconds=0", "seconds = 0 must be a number above 0"),
+        ("width=100", "width = 100 must be a whole number of at least 800"),
+        ("safety.force=-1", "safety.force = -1"),
+        ("models.meta=nowhere", "no such file: nowhere"),
+    ],
+)
+def test_wrong_values_end_in_one_line(monkeypatch, capsys, tmp_path, argument, message):
+    monkeypatch.setattr(sys, "argv", ["play", f"hydra.run.dir={tmp_path}", argument])
+    monkeypatch.setattr(Play, "run", None)
+    with pytest.raises(SystemExit) as stopped:
+        play.main()
+    shown = capsys.readouterr().err
+    assert stopped.value.code == 2 and shown.count("\n") == 1 and message in shown, shown

@@ -1,0 +1,320 @@
+"""The window, on a screen that nobody sees: what is on it, and what a key does. Pixels are looked at."""
+
+from math import atan2, hypot
+
+import numpy as np
+import pygame
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, Table
+from airhockey_marl.envs.rendering import COLOURS, FELT
+from guidance.display.arena import Arena
+from guidance.display.film import ARROW, FORCE, PAPER, TARGETS
+from guidance.display.pages import Items, Page
+from guidance.display.window import BAR, NARROWEST, Window
+from guidance.forces.conditions import Target
+from guidance.haptics.clock import HurriedClock
+from guidance.haptics.seat import Leave, Moment
+
+STATE = np.array([-0.5, 0.1, 0, 0, 0.6, -0.2, 0, 0, 0.2, 0.3, 0, 0])
+ITEMS = {name: f"How {name}?" for name in ("helpful", "natural", "controllable", "comfortable")}
+
+
+@pytest.fixture
+def window():
+    window = Window("test", Table(), NARROWEST, 60, HurriedClock(), {"o": "targets", "h": "help"})
+    yield window
+    window.close()
+
+
+def moment(**changes) -> Moment:
+    state = changes.pop("state", STATE)
+    return Moment(state=state, last=state, share=1.0, **{"hand": np.array([-0.03, 0.2]), **changes})
+
+
+def press(*keys: int | str) -> None:
+    for key in keys:
+        text = key if isinstance(key, str) else ""
+        code = pygame.key.key_code(key) if isinstance(key, str) else key
+        pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=code, unicode=text, mod=0))
+
+
+def shown(window: Window, now: Moment) -> np.ndarray:
+    """(height, width, 3) the picture, without the trails of those before."""
+    window.arena._way = []
+    window.frame(now)
+    return window.screenshot().astype(int)
+
+
+def colour_at(window: Window, picture: np.ndarray, x: float, y: float) -> tuple[int, ...]:
+    column, row = window.arena.pixel(np.array([x, y]))
+    return tuple(picture[round(row) + BAR, round(column)])
+
+
+def test_the_puck_and_the_paddles_are_where_they_are(window):
+    picture = shown(window, moment(hand=np.array([0.9, 0.9])))
+    assert colour_at(window, picture, 0.2, 0.3) == COLOURS[PUCK]
+    assert colour_at(window, picture, -0.5 + 0.036, 0.1) == COLOURS[LEFT]
+    assert colour_at(window, picture, 0.6 - 0.036, -0.2) == COLOURS[RIGHT]
+
+
+def test_nothing_changes_where_nothing_moves_and_the_puck_changes_where_it_was_and_is(window):
+    first, again = shown(window, moment()), shown(window, moment())
+    assert np.array_equal(first, again)
+    moved = STATE.copy()
+    moved[8:10] = -0.2, -0.35
+    changed = np.argwhere(np.abs(shown(window, moment(state=moved)) - first).max(axis=2) > 8) - [BAR, 0]
+    radius = window.arena.scale * Table().puck_radius + 3
+    places = [window.arena.pixel(np.array(place))[::-1] for place in ((0.2, 0.3), (-0.2, -0.35))]
+    near = [np.hypot(*(changed - place).T) < radius for place in places]
+    assert all(mask.sum() > 300 for mask in near) and (near[0] | near[1]).all()
+
+
+def test_between_two_ticks_a_body_is_between_two_places(window):
+    later = STATE.copy()
+    later[8:10] = 0.3, 0.3
+    picture = shown(window, Moment(state=later, last=STATE, share=0.5, hand=np.array([0.9, 0.9])))
+    assert colour_at(window, picture, 0.25, 0.3) == COLOURS[PUCK]
+    assert colour_at(window, picture, 0.25 + 0.04, 0.3) != COLOURS[PUCK]
+
+
+@pytest.mark.parametrize("force", [(2.0, 0.0), (0.0, 1.5), (-1.5, 1.5), (1.0, -2.5)])
+def test_the_arrow_is_the_force(window, force):
+    picture = shown(window, moment(force=np.array(force)))
+    green = np.argwhere((picture[BAR : BAR + window.arena.size[1]] == FORCE).all(axis=2))
+    start = np.array(window.arena.pixel(STATE[:2]))
+    away = green[:, ::-1] - start
+    right, down = away[np.argmax(np.hypot(*away.T))]
+    assert abs(atan2(-down, right) - atan2(force[1], force[0])) < 0.1
+    assert abs(hypot(right, down) - hypot(*force) * ARROW * window.arena.scale) < 4
+    foot = picture[BAR + window.arena.size[1] :]
+    assert (foot == FORCE).all(axis=2).sum() > 50  # and in newtons
+
+
+def test_an_experiment_does_not_show_what_is_to_be_felt(window):
+    window.shows_force = False
+    now = moment(force=np.array([2.0, 1.0]), weights={"W_sim": 0.5})
+    without = moment(force=np.zeros(2))
+    assert np.array_equal(shown(window, now), shown(window, without))
+
+
+def test_a_serve_leaves_no_trail_across_the_table(window):
+    window.frame(moment())
+    served = STATE.copy()
+    served[8:10] = -0.4, -0.4
+    window.frame(moment(state=served))
+    picture = window.screenshot().astype(int)
+    assert colour_at(window, picture, -0.1, -0.05) == FELT
+
+
+def test_targets_are_shown_when_asked_for_and_only_where_they_may_be(window):
+    targets = {
+        name: Target(torch.tensor([[x, -0.5]]), torch.full((1, 2), 0.2))
+        for name, x in (("optimal", -0.4), ("predicted", 0.5))
+    }
+    now = moment(**targets)
+
+    def marked() -> list[bool]:
+        picture = shown(window, now)
+        return [bool((picture == TARGETS[name]).all(axis=2).sum() > 10) for name in TARGETS]
+
+    assert marked() == [False, False]
+    press("o")
+    assert marked() == [True, True]
+    press("o")
+    assert marked() == [False, False]
+    window.keys = {"h": "help"}  # in the laboratory
+    press("o")
+    assert marked() == [False, False]
+
+
+@settings(deadline=None)
+@given(action=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), width=st.integers(NARROWEST, 2000))
+def test_the_pointer_asks_for_the_place_under_it(action, width):
+    arena = ARENAS.setdefault(width // 400, None) or _arena(width // 400)
+    assert np.allclose(arena.action_at(arena.of_action(np.array(action))), action, atol=1e-9)
+
+
+ARENAS: dict[int, Arena] = {}
+
+
+def _arena(size: int) -> Arena:
+    pygame.display.init()
+    pygame.display.set_mode((100, 100))
+    ARENAS[size] = Arena(Table(), 400 * size)
+    return ARENAS[size]
+
+
+def test_the_pointer_is_told(window):
+    told = []
+    window.pointed = told.append
+    x, y = window.arena.of_action(np.array([0.5, -0.25]))
+    pygame.mouse.set_pos(round(x), round(y) + BAR)
+    window.poll()
+    assert np.allclose(told[-1], [0.5, -0.25], atol=0.02)
+
+
+def test_keys_come_once_and_the_window_keeps_its_own(window):
+    press("3", "a", "page up", "space")
+    assert window.frame(moment()) == ["3", "a", "page up", "space"] and window.frame(moment()) == []
+    press("h", "3")
+    assert window.frame(moment()) == ["3"] and not window.attentive
+    press("space")
+    assert window.frame(moment()) == [] and window.attentive  # closes the help, and starts nothing
+    pygame.event.post(pygame.event.Event(pygame.JOYBUTTONDOWN, button=0, instance_id=0))
+    assert window.frame(moment()) == ["space"]
+
+
+def test_who_turns_to_another_window_is_not_attentive(window):
+    for event, attentive in ((pygame.WINDOWFOCUSLOST, False), (pygame.WINDOWFOCUSGAINED, True)):
+        pygame.event.post(pygame.event.Event(event))
+        window.poll()
+        assert window.attentive == attentive
+
+
+@pytest.mark.parametrize(
+    "event",
+    [pygame.event.Event(pygame.QUIT), pygame.event.Event(pygame.KEYDOWN, key=pygame.K_ESCAPE, unicode="", mod=0)],
+)
+def test_closing_and_escape_leave(window, event):
+    for show in (lambda: window.frame(moment()), lambda: window.page(Page("a", "b", {"return": "go"}))):
+        pygame.event.post(event)
+        with pytest.raises(Leave):
+            show()
+    assert window.frame(moment()) == []  # and leave nothing behind
+
+
+def test_a_gamepad_that_is_unplugged_is_told(window):
+    gone = []
+    window.unplugged = gone.append
+    pygame.event.post(pygame.event.Event(pygame.JOYDEVICEREMOVED, instance_id=7))
+    window.poll()
+    assert gone == [7]
+
+
+def test_frames_are_sixty_a_second_and_missed_ones_are_missed(window):
+    for _ in range(60):
+        window.clock.wait(window.next_frame - window.clock.now())
+        window.frame(moment())
+    assert window.clock.now() == pytest.approx(59 / 60) and np.allclose(window.frame_times, 1 / 60)
+    window.clock.wait(1.0)
+    window.frame(moment())
+    assert window.next_frame >= window.clock.now()
+
+
+def test_full_screen_and_back_keeps_the_picture(window):
+    before = shown(window, moment())
+    press("f")
+    window.frame(moment())
+    press("f")
+    assert np.array_equal(shown(window, moment()), before)
+
+
+def test_a_page_waits_for_one_of_its_keys(window):
+    press("x", "y", "return")
+    assert window.page(Page("Title", "Text", {"y": "yes", "n": "no"})) == "y"
+
+
+def test_a_long_text_is_several_pages_and_none_of_it_is_lost(window):
+    words = [f"word{i}" for i in range(2000)]
+    parts = Page("Title", " ".join(words), {"y": "yes", "n": "no"}).parts(window.size)
+    assert len(parts) > 2 and " ".join(part.text.replace("\n", " ") for part in parts).split() == words
+    assert [list(part.keys) for part in parts] == [["space"]] * (len(parts) - 1) + [["y", "n"]]
+    for part in parts:
+        part.draw(window.surface)
+        assert (window.screenshot()[-20:] == PAPER).all()
+    press("y", *["space"] * (len(parts) - 1), "n")
+    assert window.page(Page("Title", " ".join(words), {"y": "yes", "n": "no"})) == "n"
+
+
+def test_escape_empties_a_line_and_then_leaves(window):
+    press("a", "b", "escape", "c", "return")
+    assert window.write_down(Page("Interview", "What?", {})) == "c"
+    press("escape")
+    with pytest.raises(Leave):
+        window.write_down(Page("Interview", "What?", {}))
+
+
+def test_the_mouse_can_be_seen_where_it_answers(window):
+    window.toggle_fullscreen()
+    press("1", "2", "3", "4", "enter")
+    window.ask(Items("How was it?", ITEMS, "not at all", "very much"))
+    window.toggle_fullscreen()
+    assert pygame.mouse.get_visible()
+
+
+def test_before_a_game_there_is_an_empty_table(window):
+    window.frame(Moment(title="Game 1 of 9"))
+    picture = window.screenshot().astype(int)[BAR : BAR + window.arena.size[1]]
+    assert not any((picture == COLOURS[body]).all(axis=2).any() for body in (PUCK, RIGHT))
+
+
+def test_a_questionnaire_by_keys(window):
+    press("5", "[6]", "up", "7", "return", "2", "1", "return")  # a return before the last is answered confirms nothing
+    items = Items("How was it?", ITEMS, "not at all", "very much")
+    assert window.ask(items) == {"helpful": 5, "natural": 7, "controllable": 2, "comfortable": 1}
+
+
+def test_a_questionnaire_by_mouse_and_what_is_chosen_is_seen(window):
+    items = Items("How was it?", ITEMS, "not at all", "very much")
+    size = window.surface.get_size()
+    for number, (point, name) in enumerate(zip((1, 4, 7, 2), ITEMS, strict=True)):
+        box = items._box(number, point, size)
+        pygame.event.post(pygame.event.Event(pygame.MOUSEBUTTONDOWN, pos=box.center, button=1))
+        window.poll()
+        for event in window._events():
+            items.click(event.pos, size)
+        items.draw(window.surface)
+        assert window.surface.get_at((box.left + 4, box.centery))[:3] == COLOURS[LEFT]
+        assert items.answers[name] == point
+    items.press("0")
+    items.press("8")
+    assert list(items.answers.values()) == [1, 4, 7, 2]
+
+
+def test_a_note_is_written_down(window):
+    press("f", "i", "n", "x", "backspace", "e", "return")
+    assert window.write_down(Page("Interview", "What?", {})) == "fine"
+
+
+@pytest.mark.parametrize("width", [NARROWEST, 1100, 1600])
+def test_every_text_fits(width):
+    from guidance.commands.lab import KEYS as LAB_KEYS
+    from guidance.commands.play import KEYS
+    from guidance.sessions.session import FIRST_GAME, NEXT_GAME, WELCOME
+
+    window = Window("test", Table(), width, 60, HurriedClock(), {})
+    long = {"return": "begin", "s": "no practice"}
+    numbers = {"familiarisation": 30, "rounds": 7, "most": 10, "number": 9, "games": 9}
+    nine = {str(i): "(i) CombHG (UT+UA+SC)" for i in range(1, 10)}
+    with open("guidance/consent.txt", encoding="utf-8") as file:
+        consent = file.read()
+    pages = [Page("Before you take part", consent, {"y": "I have read this and take part", "n": "I do not"})]
+    pages += [Page("Game 9 of 9", text.format(**numbers), long) for text in (WELCOME, FIRST_GAME, NEXT_GAME)]
+    pages += [Page("Keys", "", nine | KEYS), Page("Keys", "", LAB_KEYS)]
+    for page in pages:
+        page.draw(window.surface)
+        edges = window.screenshot()
+        for part in (edges[:, -20:], edges[-20:], edges[:, :20]):
+            assert (part == PAPER).all(), page.title
+    Items("Game 9 of 9: how was the guidance?", ITEMS, "not at all", "very much").draw(window.surface)
+    edges = window.screenshot()
+    assert (edges[:, -20:] == PAPER).all() and (edges[-20:] == PAPER).all()
+    weights = {"W_unc optimal": 1.0, "W_unc predicted": 0.5, "W_sim": 0.2}
+    busy = moment(
+        title="CombHG (UT+UA+SC), generation 100",
+        weights=weights,
+        force=np.array([2.0, 2.0]),
+        won=10,
+        lost=10,
+        seconds=3599,
+    )
+    picture = shown(window, busy)
+    bar, foot = picture[:BAR], picture[-30:]
+    assert (bar[:, -8:] == PAPER).all() and (foot[:, -8:] == PAPER).all()
+    used = np.flatnonzero((foot != PAPER).any(axis=(0, 2)))
+    assert np.diff(used).max() > 20  # between the weights and the keys there is a gap: nothing overlaps
+    window.close()

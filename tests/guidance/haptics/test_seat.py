@@ -1,0 +1,233 @@
+"""The seat in real time: ticks are punctual, forces arrive, a pause is one. Time is a clock that the tests own."""
+
+import numpy as np
+import pytest
+
+from guidance.haptics.clock import HurriedClock
+from guidance.haptics.devices.mouse import Mouse
+from guidance.haptics.safety import Limits
+from guidance.haptics.seat import Dark, Leave, Seat
+from guidance.haptics.servo import Inline
+from guidance.simulated_users.arm import HAND_REACH
+
+STATE, FORCE = np.arange(12.0)[None], np.array([[1.5, -0.5]])
+
+
+class Hand:
+    """Writes down what it is told, and when."""
+
+    def __init__(self, clock: HurriedClock) -> None:
+        self.clock, self.position, self.force, self.fault = clock, (0.03, -0.06), (0.0, 0.0), None
+        self.pushed, self.passed, self.released, self.held = [], 0, False, True
+
+    def push(self, force, held=True) -> None:
+        self.pushed.append((self.clock.now(), force, held))
+
+    def advance(self, milliseconds, state) -> None:
+        self.passed += milliseconds
+
+    def rest(self) -> None:
+        self.pushed.append((self.clock.now(), "rest", False))
+
+    def release(self) -> bool:
+        self.released, self.fault = True, None
+        return True
+
+
+class Screen:
+    """Shows pictures that take a while, and presses keys at their times."""
+
+    def __init__(self, clock: HurriedClock, cost: float = 0.0, keys: dict[float, str] | None = None) -> None:
+        self.clock, self.cost, self.keys = clock, cost, dict(keys or {})
+        self.next_frame, self.attentive, self.frames, self.notes = 0.0, True, [], []
+
+    def poll(self) -> None:
+        pass
+
+    def frame(self, moment) -> list[str]:
+        self.frames.append(self.clock.now())
+        self.notes.append(moment.note)
+        self.clock.wait(self.cost)
+        self.next_frame = max(self.next_frame + 1 / 60, self.clock.now())
+        assert self.clock.now() < 60, "somebody waits for ever"
+        due = [self.keys.pop(at) for at in list(self.keys) if at <= self.clock.now()]
+        if "escape" in due:
+            raise Leave
+        return due
+
+
+def seated(cost: float = 0.0, keys: dict[float, str] | None = None, dark: bool = False) -> Seat:
+    clock = HurriedClock()
+    return Seat(Hand(clock), Dark() if dark else Screen(clock, cost, keys), clock, 0.02, breath=0.0)
+
+
+def test_fifty_ticks_are_a_second_in_which_the_hand_lives_a_thousand_milliseconds():
+    seat = seated()
+    for _ in range(50):
+        action = seat.step(STATE, FORCE)
+    assert seat.clock.now() == pytest.approx(1.0, abs=1e-9)
+    assert seat.hand.passed == 1000 and len(seat.screen.frames) == 60 and seat.late == 0
+    assert {force for _, force, _ in seat.hand.pushed} == {(1.5, -0.5)} and len(seat.hand.pushed) == 50
+    assert np.allclose(action, np.array([[0.03, -0.06]]) / HAND_REACH) and action.shape == (1, 2)
+
+
+def test_a_hand_beyond_its_reach_acts_at_the_edge():
+    seat = seated(dark=True)
+    seat.hand.position = (0.2, -0.2)
+    assert np.array_equal(seat.step(STATE, FORCE), [[1.0, -1.0]])
+
+
+@pytest.mark.parametrize("cost", [0.002, 0.008, 0.012])
+def test_no_picture_makes_a_tick_late(cost):
+    seat = seated(cost)
+    for _ in range(100):
+        seat.step(STATE, FORCE)
+    times = np.array([time for time, _, _ in seat.hand.pushed])
+    assert np.allclose(np.diff(times), 0.02, atol=1e-6)
+    assert len(seat.screen.frames) >= 100 and seat.late == 0  # and there is one in every tick
+
+
+def test_a_screen_that_is_too_slow_for_any_tick_still_shows_something():
+    seat = seated(cost=0.03)
+    for _ in range(200):
+        seat.step(STATE, FORCE)
+    apart = np.diff(seat.screen.frames)
+    assert len(apart) > 20 and apart.max() < 0.2
+
+
+def test_time_that_was_lost_is_not_made_up_for():
+    seat = seated(dark=True)
+    seat.step(STATE, FORCE)
+    seat.clock.wait(0.5)
+    seat.step(STATE, FORCE)
+    assert seat.late == 1
+    for _ in range(3):
+        seat.step(STATE, FORCE)
+    assert np.allclose([time for time, _, _ in seat.hand.pushed], [0, 0.52, 0.52, 0.54, 0.56]) and seat.late == 1
+
+
+def test_space_pauses_without_a_force_until_space():
+    seat = seated(keys={0.05: "space", 3.0: "space"})
+    for _ in range(10):
+        seat.step(STATE, FORCE)
+    without = [time for time, force, _ in seat.hand.pushed if force == (0.0, 0.0)]
+    assert len([1 for _, force, _ in seat.hand.pushed if force == (1.5, -0.5)]) == 10
+    assert min(without) < 0.08 and 2.9 < max(without) <= 3.02
+    assert np.diff(without).max() < 0.04  # never stale: it is asked for no force, again and again
+    assert any(note.startswith("paused") for note in seat.screen.notes) and seat.moment.note == ""
+    assert seat.clock.now() == pytest.approx(3.0 + 8 * 0.02, abs=0.05)
+
+
+def test_after_a_pause_and_in_a_new_game_a_force_starts_softly():
+    clock = HurriedClock()
+    hand = Inline(Mouse(), Limits())
+    seat = Seat(hand, Screen(clock, keys={3.0: "space", 4.0: "space"}), clock, 0.02, breath=1.0)
+
+    def strength(ticks: int) -> float:
+        for _ in range(ticks):
+            seat.step(STATE, FORCE)
+        return float(np.hypot(*hand.force))
+
+    whole = float(np.hypot(1.5, 0.5))
+    assert strength(1) < 0.1 * whole and strength(60) == pytest.approx(whole)
+    seat.new_game(np.array([True]))
+    assert strength(1) < 0.1 * whole and strength(30) == pytest.approx(whole)
+    while seat.pauses == 0:
+        seat.step(STATE, FORCE)
+    assert strength(1) < 0.15 * whole and strength(60) == pytest.approx(whole)
+    seat.new_round(np.array([True]))
+    assert strength(2) > 0.9 * whole  # within a game the hand stays where it is
+
+
+def test_what_the_hand_does_in_a_pause_is_no_action():
+    seat = seated(keys={0.05: "space", 3.0: "space"})
+    frame = seat.screen.frame
+
+    def move(moment) -> list[str]:
+        if seat.clock.now() > 1.0:
+            seat.hand.position = (-0.07, 0.07)
+        return frame(moment)
+
+    seat.screen.frame = move
+    actions = [seat.step(STATE, FORCE)[0] for _ in range(5)]
+    assert seat.pauses == 1 and np.allclose(actions[:3], np.array([0.03, -0.06]) / HAND_REACH)
+    assert np.allclose(actions[3:], np.array([-0.07, 0.07]) / HAND_REACH)
+    assert np.allclose(seat.action, actions[-1])  # from which the next tick begins
+
+
+def test_space_makes_a_pause_of_a_breath():
+    clock = HurriedClock()
+    seat = Seat(Hand(clock), Screen(clock, keys={0.3: "space", 5.0: "space"}), clock, 0.02, breath=1.0)
+    seat.new_round(np.array([True]))
+    assert 5.0 <= clock.now() < 5.1 and seat.pauses == 1
+
+
+def test_who_does_not_hold_the_device_is_told():
+    seat = seated()
+    seat.hand.held = False
+    seat.step(STATE, FORCE)
+    assert seat.screen.notes[-1] == "take hold of the device"
+
+
+def test_who_turns_away_gets_no_force_and_comes_back_by_space():
+    seat = seated(keys={2.0: "space"})
+    seat.screen.attentive = False
+    frame = seat.screen.frame
+
+    def look_up(moment) -> list[str]:
+        seat.screen.attentive = seat.clock.now() > 1.0
+        return frame(moment)
+
+    seat.screen.frame = look_up
+    seat.step(STATE, FORCE)
+    assert 2.0 <= seat.clock.now() < 2.1
+    assert not any(held for _, _, held in seat.hand.pushed)  # so that the next force starts softly
+    assert not any(any(force) for time, force, _ in seat.hand.pushed if 0.02 < time < 2.0)
+
+
+def test_leaving_leaves_from_the_game_and_from_a_pause():
+    for keys in ({0.1: "escape"}, {0.1: "space", 0.5: "escape"}):
+        seat = seated(keys=keys)
+        with pytest.raises(Leave):
+            for _ in range(100):
+                seat.step(STATE, FORCE)
+
+
+def test_after_a_fault_the_game_waits_until_it_is_released_and_somebody_is_ready():
+    seat = seated(keys={0.5: "space", 1.0: "x", 1.5: "r", 2.0: "space"})
+    seat.hand.fault = "the hand moves at 9 m/s"
+    seat.step(STATE, FORCE)
+    assert 2.0 <= seat.clock.now() < 2.1 and seat.hand.released
+    assert "no force: the hand moves at 9 m/s; r, then space" in seat.screen.notes
+    assert not any(any(force) for time, force, _ in seat.hand.pushed if time > 0)
+    assert seat.taken() == ["x", "r"] and seat.taken() == []
+    seat.hand.released = False
+    seat.step(STATE, FORCE)
+    assert not seat.hand.released and seat.clock.now() < 2.2
+
+
+def test_a_fault_before_a_round_outlasts_the_breath():
+    clock = HurriedClock()
+    seat = Seat(Hand(clock), Screen(clock, keys={3.0: "r", 4.0: "space"}), clock, 0.02, breath=1.0)
+    seat.hand.fault = "the hand is too far out"
+    seat.new_round(np.array([True]))
+    assert 3.0 <= clock.now() < 3.1
+
+
+def test_without_a_screen_a_fault_is_an_error():
+    seat = seated(dark=True)
+    seat.hand.fault = "the device failed"
+    with pytest.raises(RuntimeError, match="no force: the device failed"):
+        seat.step(STATE, FORCE)
+
+
+def test_a_breath_between_rounds():
+    clock = HurriedClock()
+    seat = Seat(Hand(clock), Screen(clock), clock, 0.02, breath=1.0)
+    seat.step(STATE, FORCE)
+    seat.new_round(np.array([False]))
+    assert clock.now() == pytest.approx(0.02)
+    seat.new_round(np.array([True]))
+    assert clock.now() == pytest.approx(1.02, abs=0.02)
+    seat.step(STATE + 1, FORCE)
+    assert np.array_equal(seat.moment.last, STATE[0] + 1)  # nothing moves across the table from the round before

@@ -1,0 +1,517 @@
+"""The servo: its steps in a device's own time, and its process in real time, whatever becomes of either end."""
+
+import math
+import os
+import re
+import signal
+import subprocess
+import sys
+import time
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from guidance.haptics.devices import DeviceError
+from guidance.haptics.devices.mouse import Mouse
+from guidance.haptics.devices.simulated import Simulated
+from guidance.haptics.safety import Limits
+from guidance.haptics.servo import PERIOD, SERVO_HZ, TICK, Inline, Servo, Slot
+from guidance.simulated_users import Users, personal_streams, sample_people
+from tests import ROOT
+from tests.guidance.haptics.fake_device import Logged, Refused
+
+AT_ONCE = Limits(soft_start=0.0, slew=3000.0)  # the full force within a step
+QUICK = Limits(soft_start=0.0)
+SEEN = np.zeros(12)
+
+
+class Hand:
+    """A virtual device whose hand a test moves, and that writes down its forces."""
+
+    def __init__(self):
+        self.position = self.velocity = (0.0, 0.0)
+        self.held, self.forces, self.passed, self.broken, self.ends = True, [], 0.0, None, 0
+
+    def set_force(self, force):
+        if self.broken == "set":
+            raise Refused("no answer from the motor")
+        self.forces.append(force)
+
+    def relax(self):
+        if self.broken is not None:
+            raise Refused("no answer at all")
+        self.forces.append("relaxed")
+
+    def close(self):
+        self.ends += 1
+
+    def advance(self, seconds, state):
+        self.passed += seconds
+        self.state = state
+
+
+class Unreadable(Hand):
+    """Its position cannot be read while it is broken."""
+
+    @property
+    def position(self):
+        if self.broken == "read":
+            raise Refused("")
+        return (0.0, 0.0)
+
+    @position.setter
+    def position(self, value):
+        pass
+
+
+def inline(limits=AT_ONCE, device=None):
+    device = device or Hand()
+    return device, Inline(device, limits)
+
+
+# its steps
+
+
+def test_the_force_goes_in_a_line_from_the_last_to_the_newest_in_a_tick():
+    device, servo = inline()
+    servo.push((1.0, -2.0))
+    servo.advance(20, SEEN)
+    servo.push((2.0, 0.0))
+    servo.advance(20, SEEN)
+    forces = np.array(device.forces[1:])
+    share = np.arange(1, 21)[:, None] / 20
+    np.testing.assert_allclose(forces[:20], share * (1.0, -2.0), atol=1e-12)
+    np.testing.assert_allclose(forces[20:], (1.0, -2.0) + share * (1.0, 2.0), atol=1e-12)
+    assert device.forces[0] == "relaxed"  # to begin with
+    assert servo.force == (2.0, 0.0)
+
+
+def test_a_force_that_comes_early_goes_on_from_where_the_line_is():
+    device, servo = inline()
+    servo.push((2.0, 0.0))
+    servo.advance(10, SEEN)
+    servo.push((0.0, 0.0))
+    servo.advance(20, SEEN)
+    np.testing.assert_allclose([x for x, _ in device.forces[1:]], [*np.arange(1, 11) / 10, *np.arange(19, -1, -1) / 20])
+
+
+def test_the_force_is_held_until_it_is_stale_and_then_ramps_down():
+    device, servo = inline(QUICK)
+    servo.push((3.0, 0.0))
+    servo.advance(100, SEEN)
+    forces = [x for x, _ in device.forces[1:]]
+    assert forces[19:39] == pytest.approx([3.0] * 20)
+    assert np.diff(forces[39:58]) == pytest.approx(-QUICK.slew * PERIOD)
+    assert forces[65:] == [0.0] * 35
+    assert servo.fault is None
+
+
+def test_no_force_before_one_is_asked_for():
+    device, servo = inline()
+    servo.advance(100, SEEN)
+    assert device.forces[1:] == [(0.0, 0.0)] * 100
+
+
+@pytest.mark.parametrize("bad", [(math.nan, 1.0), (1.0, math.inf), (-math.inf, math.nan)])
+def test_a_force_that_is_no_number_is_none_and_is_forgotten(bad):
+    _, servo = inline()
+    servo.push((1.0, 1.0))
+    servo.advance(20, SEEN)
+    servo.push(bad)
+    servo.advance(20, SEEN)
+    assert servo.force == (0.0, 0.0)
+    servo.push((1.0, 1.0))
+    servo.advance(20, SEEN)
+    assert servo.force == (1.0, 1.0)
+
+
+def test_a_huge_force_is_clipped_before_the_line_is_drawn():
+    device, servo = inline()
+    for sign in (1.7e308, -1.7e308):
+        servo.push((sign, 0.0))
+        servo.advance(20, SEEN)
+    np.testing.assert_allclose([x for x, _ in device.forces[21:]], 3.0 - 0.3 * np.arange(1, 21), atol=1e-12)
+
+
+@pytest.mark.parametrize("who", ["device", "caller"])
+def test_either_dead_mans_switch_ends_the_force(who):
+    device, servo = inline(QUICK)
+    for _ in range(5):
+        servo.push((3.0, 0.0))
+        servo.advance(20, SEEN)
+    assert servo.force == (3.0, 0.0) and servo.held
+    device.held = who != "device"
+    for _ in range(5):
+        servo.push((3.0, 0.0), held=who != "caller")
+        servo.advance(20, SEEN)
+    assert servo.force == (0.0, 0.0) and servo.fault is None
+    assert servo.held == (who != "device")
+
+
+def test_a_fault_relaxes_the_device_until_it_is_released():
+    device, servo = inline()
+    servo.push((3.0, 0.0))
+    servo.advance(20, SEEN)
+    device.position = (1.0, 0.0)
+    servo.push((3.0, 0.0))
+    servo.advance(20, SEEN)
+    assert device.forces[-20:] == ["relaxed"] * 20 and servo.force == (0.0, 0.0)
+    assert "further" in servo.fault and not servo.release()
+    device.position = (0.0, 0.0)
+    servo.advance(1, SEEN)
+    assert servo.release() and servo.fault is None
+    servo.push((3.0, 0.0))
+    servo.advance(20, SEEN)
+    assert servo.force == (3.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("broken", "words"),
+    [("set", "the device failed: no answer from the motor"), ("read", "the device failed: Refused")],
+)
+def test_a_device_that_fails_is_a_fault_and_no_exception(broken, words):
+    device, servo = inline(device=Unreadable())
+    servo.push((3.0, 0.0))
+    servo.advance(20, SEEN)
+    device.broken = broken
+    servo.advance(5, SEEN)
+    assert servo.force == (0.0, 0.0) and servo.fault == words
+    assert not servo.release()
+    device.broken = None
+    servo.advance(5, SEEN)
+    assert device.forces[-5:] == ["relaxed"] * 5 and servo.fault
+    assert servo.release()
+
+
+def test_a_device_that_is_broken_from_the_start_is_a_fault():
+    device = Hand()
+    device.broken = "set"
+    servo = Inline(device, AT_ONCE)
+    assert servo.fault == "the device failed: no answer at all"
+
+
+def test_closing_inline_closes_the_device_once():
+    device, servo = inline()
+    servo.push((3.0, 0.0))
+    servo.advance(20, SEEN)
+    servo.close()
+    servo.close()
+    assert device.ends == 1 and servo.force == (0.0, 0.0)
+    assert servo.fault == "the servo is closed" and not servo.release()
+    with pytest.raises(ValueError, match=r"^the servo is closed$"):
+        servo.advance(1, SEEN)
+
+
+def test_a_force_of_three_numbers_is_refused():
+    with pytest.raises(ValueError, match=r"^force of 3 numbers must be of 2"):
+        inline()[1].push((1.0, 2.0, 3.0))
+
+
+def test_inline_repeats_itself_to_the_last_bit():
+    def play(device):
+        servo, rng, trail = Inline(device, Limits()), np.random.default_rng(3), []
+        for _ in range(60):
+            if isinstance(device, Mouse):
+                device.point(*rng.uniform(-0.075, 0.075, 2))
+            servo.push(rng.uniform(-3, 3, 2))
+            for _ in range(4):
+                servo.advance(5, SEEN)
+                trail.append((*servo.position, *servo.velocity, *servo.force))
+        assert servo.fault is None
+        return np.array(trail)
+
+    def person():
+        return Users(sample_people(1, 4), personal_streams(1, 4))
+
+    for device in (Mouse, lambda: Simulated(person())):
+        first, second = play(device()), play(device())
+        assert np.array_equal(first, second)
+        assert np.ptp(first, axis=0).min() > 0
+
+
+def test_inline_hands_the_state_and_the_time_on():
+    device, servo = inline()
+    servo.advance(7, state := np.arange(12.0))
+    assert device.passed == pytest.approx(0.007) and device.state is state
+
+
+def test_a_simulated_person_in_the_servo_feels_the_force():
+    people = [Users(sample_people(1, 4), personal_streams(1, 4)) for _ in range(2)]
+    servos = [Inline(Simulated(users), QUICK) for users in people]
+    for _ in range(50):
+        for servo, force in zip(servos, ((2.0, 0.0), (0.0, 0.0)), strict=True):
+            servo.push(force)
+            servo.advance(20, SEEN)
+    assert servos[0].position[0] > servos[1].position[0] + 0.003
+
+
+# a record in shared memory
+
+
+def test_a_record_that_is_half_written_is_not_read():
+    import multiprocessing
+
+    slot = Slot("=q2d", multiprocessing.get_context("spawn"), 1, 2.0, 3.0)
+    assert slot.read() == (1, 2.0, 3.0)
+    before = slot._raw.raw
+    slot.write(2, -5.0, 7.0)
+    after = slot._raw.raw
+    for cut in range(1, len(before)):
+        for torn in (after[:cut] + before[cut:], before[:cut] + after[cut:]):
+            if torn not in (before, after):
+                slot._raw.raw = torn
+                assert slot.read() is None, cut
+
+
+# its process
+
+
+@pytest.fixture
+def log(tmp_path):
+    return tmp_path / "log.txt"
+
+
+@pytest.fixture
+def begin(log):
+    begun = []
+
+    def begin(limits=AT_ONCE, **keywords):
+        begun.append(Servo(("tests.guidance.haptics.fake_device", "Logged", {"path": str(log), **keywords}), limits))
+        return begun[-1]
+
+    yield begin
+    for servo in begun:
+        servo.close()
+
+
+def wait_for(happened, seconds=3.0):
+    ends = time.monotonic() + seconds
+    while not (found := happened()) and time.monotonic() < ends:
+        time.sleep(0.005)
+    return found
+
+
+def feed(servo, force, seconds, held=True):
+    ends = time.monotonic() + seconds
+    while time.monotonic() < ends:
+        servo.push(force, held)
+        time.sleep(TICK)
+
+
+def lines(log):
+    return Path(log).read_text().splitlines()
+
+
+def forces(log):
+    return np.array([line.split()[1:] for line in lines(log) if line.startswith("force")], dtype=float)
+
+
+def ended_well(log):
+    """The device was relaxed and then closed, once, and nothing was done to it afterwards."""
+    done = lines(log)
+    return done[-2:] == ["relax", "close"] and done.count("close") == 1
+
+
+def child(log):
+    return int(lines(log)[0].split()[1])
+
+
+def test_the_process_sets_the_force_a_thousand_times_a_second_and_closes(begin, log):
+    servo = begin()
+    feed(servo, (1.0, -2.0), 0.5)
+    assert servo.position == (0.01, -0.02) and servo.velocity == (0.3, 0.4) and servo.held
+    assert servo.force == (1.0, -2.0) and servo.fault is None
+    timing = servo.timing()
+    servo.advance(20, SEEN)  # time passes by itself
+    began = time.monotonic()
+    servo.close()
+    assert time.monotonic() - began < 1.0  # by itself, before it would have been told by a signal
+    servo.close()
+    assert ended_well(log) and servo.fault == "the servo is closed"
+    assert 0.25 * SERVO_HZ < timing.steps <= 0.8 * SERVO_HZ
+    assert timing.p50 == pytest.approx(PERIOD, rel=0.2)
+    assert timing.p50 <= timing.p99 <= timing.longest + 1e-6 and 0 <= timing.late <= timing.steps
+    assert (forces(log) == (1.0, -2.0)).all(axis=1).sum() > 100
+
+
+def test_the_process_knows_nothing_of_the_game(begin, log):
+    begin()
+    assert re.fullmatch(r"open \d+", lines(log)[0])  # else the heavy modules that it imported
+
+
+def test_a_callable_opens_the_device_as_well(log):
+    servo = Servo(partial(Logged, str(log)), AT_ONCE)
+    servo.close()
+    assert ended_well(log)
+
+
+def test_a_device_that_does_not_open_is_an_error_here(log):
+    with pytest.raises(DeviceError, match=r"^there is no such device$"):
+        Servo(
+            ("tests.guidance.haptics.fake_device", "Logged", {"path": str(log), "refuse": "there is no such device"}),
+            AT_ONCE,
+        )
+    with pytest.raises(DeviceError, match=r"No module named 'guidance.haptics.devices.loudspeaker'"):
+        Servo(("guidance.haptics.devices.loudspeaker", "Loudspeaker", {}), AT_ONCE)
+
+
+def test_a_process_that_dies_as_it_opens_is_an_error_here():
+    with pytest.raises(DeviceError, match=r"^the servo ended while it opened the device \(exit code 5\)$"):
+        Servo(("os", "_exit", {"status": 5}), AT_ONCE)
+
+
+def test_the_process_keeps_to_the_limits(begin, log):
+    limits = Limits(soft_start=0.05)
+    servo = begin(limits)
+    rng = np.random.default_rng(0)
+    for _ in range(25):
+        feed(servo, rng.uniform(-9, 9, 2), TICK)
+    servo.close()
+    done = forces(log)
+    norms = [math.hypot(*force) for force in done]  # numpy's rounds otherwise
+    assert 2.5 < max(norms) <= limits.force
+    assert np.hypot(*np.diff(done, axis=0, prepend=0).T).max() <= limits.slew * PERIOD * (1 + 1e-9)
+
+
+def test_vectors_are_never_torn(begin, log):
+    servo, rng, pushes = begin(), np.random.default_rng(1), 0
+    ends = time.monotonic() + 1.0
+    while time.monotonic() < ends:
+        for value in rng.uniform(-2, 2, 100):
+            servo.push((value, value))
+            pushes += 1
+        x, y = servo.force
+        assert x == y
+    servo.close()
+    done = forces(log)
+    assert pushes > 5000 and len(np.unique(done[:, 0])) > 200
+    assert (done[:, 0] == done[:, 1]).all()
+
+
+def test_when_nobody_pushes_any_more_the_force_ramps_down(begin, log):
+    servo = begin(QUICK)
+    feed(servo, (3.0, 0.0), 0.3)
+    assert servo.force == (3.0, 0.0)
+    assert wait_for(lambda: servo.force == (0.0, 0.0), 1.0)
+    assert servo.fault is None
+    servo.close()
+    falling = forces(log)[:, 0]
+    falling = falling[np.flatnonzero(falling == 3.0)[-1] :]
+    assert np.diff(falling).min() >= -QUICK.slew * PERIOD * (1 + 1e-9)
+    assert (np.diff(falling)[:19] < 0).all() and falling[-1] == 0
+
+
+def test_letting_go_ends_the_force_in_the_process(begin):
+    servo = begin()
+    feed(servo, (3.0, 0.0), 0.1)
+    assert servo.force == (3.0, 0.0)
+    feed(servo, (3.0, 0.0), 0.1, held=False)
+    assert servo.force == (0.0, 0.0) and servo.fault is None
+
+
+def test_a_device_that_fails_in_the_process_is_a_fault_until_it_is_released(begin, log):
+    servo = begin(fails_at=50)
+    feed(servo, (3.0, 0.0), 0.2)
+    assert servo.fault == "the device failed: no answer from the motor" and servo.force == (0.0, 0.0)
+    done = lines(log)
+    failed = next(index for index, line in enumerate(done) if line.startswith("failed"))
+    assert done[failed + 1 : failed + 50] == ["relax"] * 49  # at once, and until
+    assert not servo.release()  # it fails again at once
+    assert servo.fault == "the device failed: no answer from the motor"
+    assert wait_for(servo.release)  # each attempt is a call, and after a hundred it works again
+    feed(servo, (3.0, 0.0), 0.1)
+    assert servo.force == (3.0, 0.0)
+
+
+def test_a_hand_that_is_out_of_the_workspace_keeps_the_fault(begin, tmp_path):
+    far = tmp_path / "far"
+    servo = begin(far=str(far))
+    feed(servo, (3.0, 0.0), 0.1)
+    assert servo.force == (3.0, 0.0)
+    far.touch()
+    assert wait_for(lambda: servo.fault) == "the hand is 1.000 m from the centre, further than 0.12 m"
+    assert servo.force == (0.0, 0.0) and not servo.release()
+    far.unlink()
+    time.sleep(0.02)
+    assert servo.fault and servo.release()
+    feed(servo, (3.0, 0.0), 0.1)
+    assert servo.force == (3.0, 0.0)
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_a_process_that_is_told_to_end_leaves_no_force(begin, log, number):
+    servo = begin()
+    feed(servo, (3.0, 0.0), 0.1)
+    os.kill(child(log), number)
+    assert wait_for(lambda: servo.fault) == "the servo has ended (exit code 0)"
+    assert ended_well(log)
+    assert not servo.release()
+
+
+def test_a_process_that_is_gone_is_a_fault(begin, log):
+    servo = begin(ends_at=50)
+    feed(servo, (3.0, 0.0), 0.1)
+    assert wait_for(lambda: servo.fault) == "the servo has ended (exit code 3)"
+
+
+def test_a_process_that_hangs_is_a_fault(begin):
+    servo = begin(hangs_at=20)
+    assert servo.fault is None
+    assert wait_for(lambda: servo.fault).startswith("the servo hangs: no step for 0.")
+    assert wait_for(lambda: servo.fault is None)  # it has come back
+    time.sleep(0.1)
+    assert servo.timing().steps < 0.5 * SERVO_HZ  # what it missed in that second is not made up for
+    assert servo.timing().longest > 0.9 and servo.timing().late >= 1
+
+
+def test_looking_seldom_is_no_fault(begin):
+    servo = begin()
+    time.sleep(0.6)
+    assert servo.fault is None
+
+
+PARENT = """
+import os, sys, time
+import numpy  # heavy, and the child must not import it for this program's sake
+from guidance.haptics.safety import Limits
+from guidance.haptics.servo import Servo
+
+servo = Servo(("tests.guidance.haptics.fake_device", "Logged", {"path": sys.argv[1]}), Limits(soft_start=0.0, slew=3000.0))
+print("begun", flush=True)
+for _ in range(1000):
+    servo.push((3.0, 0.0))
+    time.sleep(0.01)
+    if len(sys.argv) > 2 and servo.force[0] == 3.0:
+        raise SystemExit(int(sys.argv[2]))
+"""
+
+
+def parent(tmp_path, log, *arguments):
+    program = tmp_path / "program.py"
+    program.write_text(PARENT)
+    root = ROOT
+    return subprocess.Popen(
+        [sys.executable, str(program), str(log), *arguments],
+        stdout=subprocess.PIPE,
+        text=True,
+        env={**os.environ, "PYTHONPATH": str(root)},
+    )
+
+
+def test_when_the_parent_is_killed_the_device_is_left_without_a_force(tmp_path, log):
+    process = parent(tmp_path, log)
+    assert process.stdout.readline() == "begun\n"
+    assert wait_for(lambda: len(forces(log)) and forces(log)[-1][0] == 3.0)
+    process.kill()
+    process.wait()
+    assert wait_for(lambda: ended_well(log))
+    assert re.fullmatch(r"open \d+", lines(log)[0])
+    assert wait_for(lambda: not Path(f"/proc/{child(log)}").exists() or not sys.platform.startswith("linux"))
+
+
+def test_when_the_program_ends_without_closing_the_device_is_closed(tmp_path, log):
+    process = parent(tmp_path, log, "0")
+    assert process.wait(10) == 0
+    assert ended_well(log)

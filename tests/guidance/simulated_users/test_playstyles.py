@@ -1,0 +1,88 @@
+"""People differ, and are themselves: playstyle and person can be told from a game, but not where there is no spread."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import torch
+
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.experiment.command import CONF
+from airhockey_marl.league.league import League
+from airhockey_marl.players.inference import steady
+from guidance.commands.validate_users import by_skill
+from guidance.simulated_users import Population, load_mentors, sample_people
+from guidance.simulated_users.validation.playstyles import FEATURES, blows, features, recognised, told_apart
+from guidance.study.demonstrations import collect
+
+TABLE = Table()
+EACH, TICKS = 10, 3000
+
+
+@pytest.fixture(scope="module")
+def opponent():
+    return steady(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(25))
+
+
+@pytest.fixture(scope="module")
+def mentors():
+    return load_mentors(CONF.parent / "guidance/pretrained/mentors.safetensors")
+
+
+def games(population: Population, seed: int, opponent, mentors) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Archetypes (n,), and the features (n, 10) of each of two games."""
+    people = np.concatenate([sample_people(EACH, seed + i, population, a) for i, a in enumerate(population.archetypes)])
+    data = collect(people, opponent, 2, TICKS, TABLE, "V1", mentors, seed)
+    return people["archetype"], [features(data.observation[:, game], TABLE) for game in (0, 1)]
+
+
+def test_people_are_told_apart_and_recognised(opponent, mentors):
+    population = Population.usual()
+    style, (known, _) = games(population, 4000, opponent, mentors)
+    others, (one, another) = games(population, 4500, opponent, mentors)
+    assert np.mean(told_apart(known, style, one) == others) > 0.4  # chance is 1 of 6
+    assert recognised(one, another) > 0.15  # chance is 1 of 60
+
+
+def test_people_without_any_spread_are_not(opponent, mentors):
+    usual = Population.usual()
+    same = {item.name: getattr(usual, item.name) for item in fields(Population)}
+    same = {name: law._replace(log_sd=0.0) for name, law in same.items() if hasattr(law, "log_sd")}
+    alike = {name: [0.5] * 6 for name in usual.archetypes}
+    population = Population.usual(**same, archetypes=alike, trait_concentration=np.inf, skill_sd=0.0)
+    style, (known, _) = games(population, 4000, opponent, mentors)
+    others, (one, another) = games(population, 4500, opponent, mentors)
+    assert np.mean(told_apart(known, style, one) == others) < 0.4
+    assert recognised(one, another) < 0.1
+
+
+def test_more_skill_wins_more_and_stops_more(opponent, mentors):
+    found = by_skill(Population.usual(), 90, opponent, "V1", mentors, 0)
+    won, stopped = ([np.nanmean(v) for name, v in found.items() if name.startswith(w)] for w in ("rounds", "shots"))
+    assert won[0] < won[2] and stopped[0] < stopped[1] < stopped[2]
+    assert won[0] - 0.02 < won[1] < won[2] + 0.02
+
+
+def test_a_blow_is_counted_once_and_only_if_it_goes_forward():
+    seen = np.zeros((6, 12))
+    seen[:, 0], seen[:, 8] = -0.5, -0.42
+    seen[3:, 10] = 2.0  # struck forward
+    assert blows(seen, TABLE).tolist() == [[2.0, 0.0]]
+    seen[3:, 10] = -2.0
+    assert len(blows(seen, TABLE)) == 0
+    seen[3:, 10], seen[:, 8] = 2.0, 0.4  # far from the paddle: somebody else's
+    assert len(blows(seen, TABLE)) == 0
+
+
+def test_features_say_what_they_are_called():
+    ticks = 1000
+    seen = torch.zeros(2, ticks, 12)
+    wave = torch.linspace(0, 60, ticks).sin()
+    seen[..., 0] = torch.tensor([-0.8, -0.2])[:, None]
+    seen[..., 8], seen[..., 9] = 0.5, 0.3 * wave
+    seen[1, :, 1] = 0.1 * wave
+    found = dict(zip(FEATURES, features(seen, TABLE).T, strict=True))
+    assert found["depth"] == pytest.approx([-0.8, -0.2])
+    assert found["follows"] == pytest.approx([0.0, 1.0])
+    assert found["presses"] == pytest.approx([0.0, 1.0])
+    assert found["blows_per_minute"] == pytest.approx([0.0, 0.0])

@@ -1,0 +1,433 @@
+"""Simulated people: delays, blindness, the arm's mechanics, determinism, the population, and the rating proxies."""
+
+import inspect
+from dataclasses import fields
+
+import numpy as np
+import pytest
+import yaml
+
+from airhockey_marl.envs.physics import LEFT, RIGHT, Table
+from airhockey_marl.envs.world import Tables
+from guidance.simulated_users import Population, Users, personal_streams, sample_people, training_people
+from guidance.simulated_users.arm import (
+    ARM,
+    HAND_REACH,
+    STEADY,
+    SUBSTEPS,
+    begin_plan,
+    hardest_acceleration,
+    move_arm,
+    rest,
+)
+from guidance.simulated_users.intention import Intention, choose
+from guidance.simulated_users.perception import LOOK_AHEAD, LOOK_AHEAD_STEP, foresee, standard_normal
+from guidance.simulated_users.population import TRAITS, LogNormal
+from guidance.simulated_users.ratings import RATINGS, SIGNALS, appraisals
+from guidance.simulated_users.state import MIND
+from guidance.simulated_users.strokes import shot_direction, to_hand, to_table
+from guidance.simulated_users.validation.rating_anchors import ANCHORS, anchor_scales, ordered, play_anchor
+from tests import ROOT
+
+TABLE = Table()
+CONF = yaml.safe_load((ROOT / "conf/users/default.yaml").read_text())
+SCALES = CONF["scales"]
+
+
+def still(n: int, puck: tuple[float, ...] = (0.5, 0.1, 0.0, 0.0)) -> np.ndarray:
+    """(n, 12) both paddles at home, and the puck."""
+    state = np.zeros((n, 12))
+    state[:, 0], state[:, 4], state[:, 8:] = -TABLE.length / 4, TABLE.length / 4, puck
+    return state
+
+
+def mirror_match(n: int, ticks: int, variant: str = "V1", force: float = 0.0, seed: int = 3):
+    """Two batches play each other; a constant force in newtons along y acts on the left one."""
+    tables = Tables(n)
+    tables.seed(seed)
+    tables.new_rounds()
+    seats = [Users(sample_people(n, seed + seat), personal_streams(n, seed + seat), TABLE, variant) for seat in (0, 1)]
+    seen, actions, pushes = np.zeros((n, 12)), np.zeros((n, 2, 2)), [np.zeros((n, 2)), np.zeros((n, 2))]
+    pushes[LEFT][:, 1] = force
+    record = {name: [] for name in ("action", "speed", "goals", "touched", "served")}
+    for _ in range(ticks):
+        for seat in (LEFT, RIGHT):
+            actions[:, seat] = seats[seat].step(tables.observe(seat, seen), pushes[seat])
+        tables.step(actions)
+        over = tables.goals != 0
+        record["action"].append(actions.copy())
+        record["speed"].append(np.hypot(*seats[LEFT].hand_velocity.T))
+        record["goals"].append(tables.goals.copy())
+        record["touched"].append(tables.touched.copy())
+        record["served"].append(tables.served.copy())
+        tables.new_rounds(over)
+        for users in seats:
+            users.new_round(over)
+    return seats[LEFT], {name: np.array(values) for name, values in record.items()}
+
+
+def test_without_a_force_every_variant_is_no_guidance_bit_for_bit():
+    users, passive = mirror_match(6, 1500, "V0")
+    for variant in ("V1", "V2"):
+        again, record = mirror_match(6, 1500, variant)
+        assert np.array_equal(record["action"], passive["action"])
+        assert np.all(again.signals == 0)
+    assert np.all(users.signals == 0)
+    _, pushed = mirror_match(6, 1500, "V1", force=1.0)
+    assert not np.array_equal(pushed["action"], passive["action"])
+
+
+def test_two_runs_are_the_same_and_another_seed_is_not():
+    first, second, other = (mirror_match(4, 500, force=0.5, seed=seed)[1]["action"] for seed in (3, 3, 4))
+    assert np.array_equal(first, second)
+    assert not np.array_equal(first, other)
+
+
+def test_a_person_does_not_depend_on_who_else_is_there():
+    people, streams = sample_people(5, 8), personal_streams(5, 8)
+    rng = np.random.default_rng(0)
+    everyone, alone = Users(people, streams, TABLE, "V2"), Users(people[3:4], streams[3:4], TABLE, "V2")
+    for _ in range(300):
+        state, force = still(5) + 0.02 * rng.standard_normal((5, 12)), rng.standard_normal((5, 2))
+        together = everyone.step(state, force)[3].copy()
+        assert np.array_equal(together, alone.step(state[3:4], force[3:4])[0])
+
+
+def test_people_are_blind_to_all_but_state_and_force():
+    assert list(inspect.signature(Users.step).parameters) == ["self", "state", "force", "rows"]
+    users = Users(sample_people(2, 0), personal_streams(2, 0))
+    for view in (users.action, users.hand, users.hand_velocity, users.goal, users.intention):
+        with pytest.raises(ValueError, match="read-only"):
+            view[0] = 0
+
+
+def test_what_happens_now_moves_the_hand_only_after_the_delay_of_sight():
+    n, change = 40, 60
+    people, streams = sample_people(n, 1), personal_streams(n, 1)
+    same, other = Users(people, streams), Users(people, streams)
+    zero = np.zeros((n, 2))
+    first = np.full(n, -1)
+    for tick in range(change + 60):
+        shot = (-0.3 + 0.02 * (tick - change) * -0.5, 0.2, -0.5, 0.0) if tick >= change else (0.5, 0.1, 0.0, 0.0)
+        differs = np.any(same.step(still(n), zero) != other.step(still(n, shot), zero), axis=1)
+        first[(first < 0) & differs] = tick - change
+    delay = np.floor(people["sight_delay"] / TABLE.tick + 0.5)
+    assert np.all(first >= delay)
+    reaction = (first + 1) * TABLE.tick  # the hand has moved by the end of that tick
+    assert 0.15 < np.median(reaction) < 0.40
+
+
+def test_the_arm_yields_to_a_force_by_its_stiffness():
+    person, arm = sample_people(1, 2)[0], np.zeros(1, ARM)[0]
+    for stiffness in (person["stiffness"], 2 * person["stiffness"]):
+        rest(arm, person)
+        for _ in range(2000):
+            move_arm(arm, person, STEADY, stiffness, 0.0, 0.0, 1.0, -2.0, 0.004)
+        assert arm["hand_x"] == pytest.approx(1.0 / stiffness, rel=1e-3)
+        assert arm["hand_y"] == pytest.approx(-2.0 / stiffness, rel=1e-3)
+
+
+def test_the_arm_follows_a_reach_with_one_peak_of_speed():
+    person, arm = sample_people(1, 2)[0], np.zeros(1, ARM)[0]
+    rest(arm, person)
+    begin_plan(arm, person, 0.06, -0.03, 0.0, 0.0, 0.4)
+    speed = []
+    for _ in range(250):
+        move_arm(arm, person, STEADY, person["stiffness"], 0.0, 0.0, 0.0, 0.0, 0.004)
+        speed.append(np.hypot(arm["hand_v_x"], arm["hand_v_y"]))
+    assert (arm["hand_x"], arm["hand_y"]) == pytest.approx((0.06, -0.03), abs=1e-3)
+    assert max(speed) == pytest.approx(1.5 * np.hypot(0.06, 0.03) / (0.4 - person["muscle_lag"]), rel=0.2)
+    reach = np.array(speed)[: int(0.4 / 0.004)]
+    peaks = (reach[1:-1] > reach[:-2]) & (reach[1:-1] >= reach[2:]) & (reach[1:-1] > 0.1 * reach.max())
+    assert peaks.sum() == 1
+
+
+def test_a_force_pushes_the_hand_its_way_and_about_as_far_as_stiffness_says():
+    n = 30
+    people, streams = sample_people(n, 4), personal_streams(n, 4)
+    passive, free = Users(people, streams, TABLE, "V0"), Users(people, streams, TABLE, "V0")
+    force = np.tile([0.0, 1.5], (n, 1))
+    off = []
+    for tick in range(500):
+        passive.step(still(n), force)
+        free.step(still(n), 0 * force)
+        if tick >= 250:
+            off.append((passive.hand - free.hand)[:, 1])
+    yielding = np.mean(off, axis=0) / (1.5 / people["stiffness"])
+    # Plans begin where the hand is and end at the goal, so a person differs from the arm alone either way.
+    assert np.all((yielding > 0.1) & (yielding < 2.5))
+    assert 0.6 < np.median(yielding) < 1.6
+
+
+@pytest.mark.parametrize("variant", ["V0", "V1", "V2"])
+def test_a_spring_to_a_place_does_not_shake_the_hand(variant):
+    n = 60
+    people, streams = sample_people(n, 5), personal_streams(n, 5)
+    held, free = Users(people, streams, TABLE, variant), Users(people, streams, TABLE, variant)
+    place, zero = np.tile([0.02, 0.03], (n, 1)), np.zeros((n, 2))
+    speeds = []
+    for tick in range(750):
+        held.step(still(n), 50.0 * (place - held.hand))
+        free.step(still(n), zero)
+        if tick >= 500:
+            speeds.append([np.hypot(*users.hand_velocity.T) for users in (held, free)])
+    # People move between their intentions without a spring, too; a limit cycle would add to that.
+    with_spring, without = np.sqrt(np.mean(np.square(speeds), axis=0))
+    assert np.percentile(with_spring - without, 95) < 0.05
+
+
+def test_conflict_stiffens_and_is_resisted_only_in_v1():
+    n = 20
+    people, streams = sample_people(n, 6), personal_streams(n, 6)
+    off = {}
+    for variant in ("V0", "V1"):
+        users, free = Users(people, streams, TABLE, variant), Users(people, streams, TABLE, variant)
+        for _ in range(400):
+            users.step(still(n), np.tile([0.0, 2.0], (n, 1)))
+            free.step(still(n), np.zeros((n, 2)))
+        off[variant] = (users.hand - free.hand)[:, 1]
+    assert np.mean(off["V1"]) < 0.9 * np.mean(off["V0"])
+
+
+def test_two_people_play_air_hockey():
+    _, record = mirror_match(24, 6000)
+    minutes = 24 * 6000 * TABLE.tick / 60
+    goals = np.count_nonzero(record["goals"]) / minutes
+    assert 1.5 < goals < 6.0  # rounds of 10 to 40 s
+    assert np.count_nonzero(record["touched"]) / minutes > 30
+    assert np.count_nonzero(record["served"]) / minutes < 0.5
+    assert np.percentile(record["speed"], 99.9) < 1.5
+    assert np.percentile(record["speed"], 50) > 0.02
+
+
+def test_skill_wins():
+    wins = np.zeros(2)
+    good = sample_people(24, 1, Population.usual(skill_mean=1.5, skill_sd=0.1))
+    poor = sample_people(24, 2, Population.usual(skill_mean=-1.5, skill_sd=0.1))
+    for left, right, good_scores in ((good, poor, 1), (poor, good, -1)):
+        opponent = Users(right, personal_streams(24, 10))
+        tables, left_users = Tables(24), Users(left, personal_streams(24, 9))
+        tables.new_rounds()
+        seen, actions, zero = np.zeros((24, 12)), np.zeros((24, 2, 2)), np.zeros((24, 2))
+        for _ in range(6000):
+            actions[:, LEFT] = left_users.step(tables.observe(LEFT, seen), zero)
+            actions[:, RIGHT] = opponent.step(tables.observe(RIGHT, seen), zero)
+            tables.step(actions)
+            over = tables.goals != 0
+            wins += np.sum(tables.goals == good_scores), np.sum(tables.goals == -good_scores)
+            tables.new_rounds(over)
+            left_users.new_round(over)
+            opponent.new_round(over)
+    assert wins[0] > 1.3 * wins[1]
+
+
+def test_a_new_round_puts_the_hand_back_and_keeps_the_ratings():
+    n = 4
+    users = Users(sample_people(n, 7), personal_streams(n, 7), TABLE, "V2")
+    for _ in range(150):
+        users.step(still(n), np.ones((n, 2)))
+    which = np.array([True, False, True, False])
+    before, signals = users.hand.copy(), users.signals.copy()
+    users.new_round(which)
+    assert np.all(users.hand[which] == 0) and np.all(users.action[which] == 0)
+    assert np.array_equal(users.hand[~which], before[~which])
+    assert np.array_equal(users.signals, signals)
+    users.new_game(which)
+    assert np.all(users.signals[which] == 0) and np.all(users.signals[~which] == signals[~which])
+
+
+def test_a_bounce_is_foreseen_as_the_table_does_it():
+    person, mind, path = sample_people(1, 0)[0], np.zeros(1, MIND)[0], np.empty((LOOK_AHEAD, 4))
+    person["speed_noise"] = person["heading_noise"] = 0.0
+    mind["sees_bounces"] = 1
+    start = np.array([0.6, 0.1, -0.9, 0.9])
+    assert foresee(person, mind, still(1, tuple(start))[0], 0.0, TABLE, path) == -1
+    tables = Tables(1)
+    tables.bodies[0, LEFT], tables.bodies[0, RIGHT] = (-0.9, -0.4, 0, 0), (0.9, -0.4, 0, 0)
+    tables.bodies[0, 2] = start
+    actions = np.array([[[-1.0, -0.9], [-1.0, 0.9]]])
+    for _ in range(40):
+        tables.step(actions)
+    row = round(40 * TABLE.tick / LOOK_AHEAD_STEP)
+    assert path[row] == pytest.approx(tables.bodies[0, 2], abs=0.02)
+    mind["sees_bounces"] = 0
+    foresee(person, mind, still(1, tuple(start))[0], 0.0, TABLE, path)
+    assert path[-1, 1] == pytest.approx(TABLE.width / 2 - TABLE.puck_radius)
+
+
+@pytest.mark.parametrize("wall", [0, 1, -1])
+def test_a_shot_off_the_wall_ends_in_the_goal(wall):
+    x, y, aim = -0.3, 0.12, 0.05
+    tables = Tables(1)
+    tables.bodies[0, LEFT], tables.bodies[0, RIGHT] = (-0.9, 0.0, 0, 0), (0.2, -0.4 if wall >= 0 else 0.4, 0, 0)
+    tables.bodies[0, 2] = (x, y, *(2.0 * np.array(shot_direction(x, y, wall, aim, TABLE))))
+    home = np.array([[[-1.0, 0.0], [0.5, 0.85 if wall >= 0 else -0.85]]])
+    for _ in range(100):
+        tables.step(home)
+        if tables.goals[0]:
+            break
+    assert tables.goals[0] == 1
+    assert tables.bodies[0, 2, 1] == pytest.approx(aim, abs=0.03)
+
+
+def test_hand_and_table_are_two_names_of_one_place():
+    assert to_hand(-TABLE.length / 4, 0.0, TABLE) == (0.0, 0.0)
+    corner = to_hand(-TABLE.paddle_radius, TABLE.width / 2 - TABLE.paddle_radius, TABLE)
+    assert corner == pytest.approx((HAND_REACH, HAND_REACH))
+    assert to_table(*to_hand(-0.2, 0.3, TABLE), TABLE) == pytest.approx((-0.2, 0.3))
+
+
+def test_the_hardest_acceleration_of_a_reach_is_at_its_ends():
+    assert hardest_acceleration(0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3) == pytest.approx(6 * 0.1 / 0.3**2)
+
+
+def test_choices_follow_the_softmax():
+    worth, rng = np.array([0.0, 0.2, -1e9]), personal_streams(1, 5)
+    drawn = np.bincount([choose(worth, 0.2, rng, 0) for _ in range(20000)], minlength=3)
+    assert drawn[2] == 0
+    assert drawn[1] / drawn[0] == pytest.approx(np.e, rel=0.06)
+
+
+def test_normals_are_normal():
+    rng = personal_streams(1, 6)
+    draws = np.array([standard_normal(rng, 0) for _ in range(40000)])
+    assert (draws.mean(), draws.std()) == pytest.approx((0.0, 1.0), abs=0.015)
+    assert np.mean(draws**4) == pytest.approx(3.0, abs=0.15)
+
+
+def test_the_population_is_the_one_specified():
+    people, population = sample_people(2000, 11), Population.usual()
+    degrees = ("heading_noise", "bounce_noise")
+    for item in fields(Population):
+        law = getattr(population, item.name)
+        if not isinstance(law, LogNormal):
+            continue
+        values = np.degrees(people[item.name]) if item.name in degrees else people[item.name].copy()
+        if item.name == "decision_delay":
+            values -= population.decision_floor
+        assert np.median(values) == pytest.approx(law.median, rel=0.08), item.name
+        assert law.low - 1e-12 <= values.min() and values.max() <= law.high + 1e-12, item.name
+        related = np.corrcoef(np.log(values), people["skill"])[0, 1]
+        assert related == pytest.approx(law.on_skill, abs=0.1), item.name
+    both = np.corrcoef(np.log(people["noise_along"]), np.log(people["noise_across"]))[0, 1]
+    assert both == pytest.approx(0.5, abs=0.07)
+    assert np.mean(people["resistance"]) == pytest.approx(0.4, abs=0.02)
+    assert np.mean(people["slacking"]) == pytest.approx(0.5 / 3, abs=0.02)
+    assert np.mean(people["stiffening"]) == pytest.approx(1.0, abs=0.06) and people["stiffening"].max() <= 3.0
+    for name in TRAITS:
+        assert abs(np.corrcoef(people[name], people["skill"])[0, 1]) < 0.07
+
+
+def test_nine_training_people_whom_no_study_meets():
+    trainers, studied = training_people(0), sample_people(200, 0)
+    assert len(trainers) == 9
+    assert list(trainers["archetype"][:6]) == list(range(6))
+    assert not np.intersect1d(trainers["stiffness"], studied["stiffness"]).size
+    assert np.array_equal(sample_people(5, 0), studied[:5])
+    assert not np.array_equal(training_people(1), trainers)
+    flat = sample_people(50, 0, Population.usual(trait_concentration=np.inf), archetype="wall")
+    assert np.all(flat["aggression"] == Population.usual().archetypes["wall"][0])
+
+
+def test_every_parameter_says_its_unit_and_where_it_comes_from():
+    text = (ROOT / "conf/users/default.yaml").read_text()
+    section, seen = "", set()
+    for line in text[text.index("population:") : text.index("scales:")].splitlines():
+        if line.startswith("  # "):
+            section = line
+        name, colon, rest = line.strip().partition(":")
+        if colon and line.startswith("  ") and name.isidentifier() and not name.startswith("_"):
+            seen.add(name)
+            if line.startswith("   "):  # of a table, explained at its head
+                continue
+            if name != "worth":  # a table, explained above it
+                assert "#" in rest, f"{name} has no comment"
+                assert any(tag in rest + section for tag in ("[R]", "[M]", "[D]", "[A]")) or "skill" in name, name
+    assert {item.name for item in fields(Population)} <= seen
+    assert set(CONF["population"]) - {"_target_", "_convert_"} == {item.name for item in fields(Population)}
+
+
+@pytest.fixture(scope="module")
+def anchored() -> dict[str, Users]:
+    return {
+        name: play_anchor(sample_people(40, 21), _copies(), name, seconds=80.0, seed=21) for name in (*ANCHORS, "none")
+    }
+
+
+def _copies():
+    rivals, zero = Users(sample_people(40, 22), personal_streams(40, 22)), np.zeros((40, 2))
+    return lambda state: rivals.step(state, zero)
+
+
+def test_the_known_order(anchored):
+    """Oracle, replayed, random, anti: the proxies that are used must say so; see `withdrawn` in conf/users."""
+    z = {name: appraisals(users.signals / np.array([SCALES[s] for s in SIGNALS])) for name, users in anchored.items()}
+    found = ordered(z)
+    assert all(found[name] for name in RATINGS if name not in CONF["withdrawn"])
+    means = {name: dict(zip(RATINGS, value.mean(axis=0), strict=True)) for name, value in z.items()}
+    assert means["oracle"]["helpfulness"] > max(means[name]["helpfulness"] for name in ("replayed", "random", "anti"))
+    assert means["none"]["helpfulness"] == -0.5 and means["none"]["comfort"] == 0.5
+
+
+def test_an_order_is_an_order():
+    falling = {name: np.full((3, 4), -float(place)) for place, name in enumerate(ANCHORS)}
+    assert ordered(falling) == dict.fromkeys(RATINGS, True)
+    falling["random"][:, 1] = 9.0
+    assert ordered(falling) == {**dict.fromkeys(RATINGS, True), RATINGS[1]: False}
+
+
+def test_ratings_are_likert_points_and_stay_the_same_when_asked_again(anchored):
+    users = anchored["random"]
+    ratings = users.ratings(SCALES)
+    assert tuple(ratings) == RATINGS
+    for name, points in ratings.items():
+        assert points.shape == (40,) and points.dtype == np.float64
+        assert np.all((points >= 1) & (points <= 7) & (points == np.round(points)))
+        assert np.array_equal(points, users.ratings(SCALES)[name])
+    better = np.mean(anchored["oracle"].ratings(SCALES)["helpfulness"])
+    assert better > np.mean(ratings["helpfulness"]) + 1
+
+
+def test_anchor_scales_are_plain_positive_numbers():
+    people = training_people(0)
+    rivals, zero = Users(people, personal_streams(9, 1)), np.zeros((9, 2))
+    scales = anchor_scales(people, lambda state: rivals.step(state, zero), seconds=30.0)
+    assert set(scales) == set(SIGNALS) == set(SCALES)
+    assert all(type(value) is float and value > 0 for value in scales.values())
+
+
+def test_intentions_are_named_and_used():
+    users, _ = mirror_match(20, 50)
+    assert set(users.intention) <= set(map(int, Intention))
+    assert SUBSTEPS == 5
+
+
+@pytest.mark.parametrize(
+    ("build", "message"),
+    [
+        (lambda: sample_people(0, 0), "people = 0 must be a whole number of at least 1"),
+        (lambda: sample_people(1, -1), "seed = -1"),
+        (lambda: sample_people(1, 0, archetype="goalie"), "archetype = 'goalie' must be one of striker"),
+        (lambda: Population.usual(sight_delay=(0.5, 0.1, 0.1, 0.2, 0.0)), "users.sight_delay"),
+        (lambda: Population.usual(resistance=(2.0, 1.0, 1.0)), "users.resistance"),
+        (lambda: Population.usual(device_mass=-1.0), "users.device_mass = -1.0"),
+        (lambda: Population.usual(noise_correlation=1.5), "users.noise_correlation = 1.5"),
+        (lambda: Population.usual(archetypes={"odd": (0.5, 0.5)}), "users.archetypes.odd"),
+        (lambda: Users(np.zeros(3), personal_streams(3, 0)), "people of shape"),
+        (lambda: Users(sample_people(3, 0), personal_streams(2, 0)), "streams uint64"),
+        (lambda: Users(sample_people(1, 0), personal_streams(1, 0), variant="V9"), "variant = 'V9' must be one of V0"),
+        (lambda: _one().step(np.zeros((1, 11)), np.zeros((1, 2))), "state of shape"),
+        (lambda: _one().step(np.zeros((1, 12)), np.full((1, 2), np.nan)), "force = nan must be finite"),
+        (lambda: _one().new_round(np.ones(1)), "which float64"),
+        (lambda: _one().ratings({"conflict": 1.0}), "scales = "),
+        (lambda: _one().ratings({**SCALES, "jerk": 0.0}), "scales.jerk = 0.0"),
+        (lambda: play_anchor(sample_people(1, 0), None, "angel"), "anchor = 'angel'"),
+    ],
+)
+def test_bad_input_is_named(build, message):
+    with pytest.raises(ValueError, match=message.replace("(", r"\(")):
+        build()
+
+
+def _one() -> Users:
+    return Users(sample_people(1, 0), personal_streams(1, 0))

@@ -1,0 +1,57 @@
+"""The shipped models are what their cards say, and models find their way to files and back."""
+
+import json
+
+import pytest
+import torch
+
+from airhockey_marl.experiment.command import ROOT
+from airhockey_marl.experiment.files import sha256
+from airhockey_marl.league.league import League
+from airhockey_marl.players.networks import GaussianPolicy
+from guidance.study.models import Models, load_user_model, save_user_model
+from guidance.user_model.maml import forward_each
+
+LEAGUE = ROOT / "airhockey_marl" / "pretrained"
+USER = ROOT / "guidance" / "pretrained"
+
+
+def test_the_shipped_league_is_the_one_on_its_card():
+    card = json.loads((LEAGUE / "card.json").read_text())
+    league = League.load(LEAGUE / "league.safetensors")
+    assert league.hashes == card["hashes"] and len(league) == card["generations"] == 101
+    assert league.policy.hidden == (64, 64)
+
+
+def test_the_shipped_user_models_were_trained_against_the_studys_opponent_of_that_league():
+    card = json.loads((USER / "card.json").read_text())
+    assert card["opponents_sha256"] == sha256(LEAGUE / "opponents.safetensors")
+    for name in ("user", "meta"):
+        model, facts = load_user_model(USER / f"{name}.safetensors")
+        assert model.hidden == (80, 80, 80, 80) and facts["seed"] == card["seed"]
+
+
+def test_user_models_survive_being_written_down(tmp_path):
+    model = GaussianPolicy([8, 8])
+    save_user_model(tmp_path / "m.safetensors", model, {"inner_lr": 0.1})
+    loaded, facts = load_user_model(tmp_path / "m.safetensors")
+    seen = torch.randn(5, 12)
+    assert all(torch.equal(a, b) for a, b in zip(model(seen), loaded(seen), strict=True))
+    assert facts == {"inner_lr": 0.1, "hidden": [8, 8], "inputs": "table"}
+
+
+def test_adaptation_is_each_users_own_however_long_the_game():
+    torch.manual_seed(0)
+    model = GaussianPolicy([8])
+    models = Models(model, model, model, 0.1, {})
+    games = [(torch.randn(ticks, 12), torch.randn(ticks, 2)) for ticks in (40, 70)]
+    together, alone = models.adapted_to(games), models.adapted_to(games[1:])
+    assert together.batch_size == (2,)
+    seen = torch.randn(1, 3, 12)
+    assert torch.equal(forward_each(model, together[1:], seen)[0], forward_each(model, alone, seen)[0])
+    assert not torch.equal(forward_each(model, together[:1], seen)[0], forward_each(model, alone, seen)[0])
+
+
+def test_a_model_without_meta_learning_cannot_adapt():
+    with pytest.raises(ValueError, match="not meta-learned"):
+        Models.load(LEAGUE / "league.safetensors", -1, USER / "user.safetensors", USER / "user.safetensors")

@@ -1,0 +1,125 @@
+"""Many studies: the tables are what they say, and a run that was killed ends like one that was not."""
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy import stats as scipy_stats
+
+from guidance.commands import replicate
+from guidance.statistics.figures import robustness_map
+from guidance.statistics.robustness import findings_over, leans_on, outcomes_of, scores_of, ua_over, wrong_over
+from tests.airhockey_marl.commands.test_cli import smoke, start
+from tests.guidance.statistics.test_report import synthetic_trials
+
+RESULTS = ("outcomes.csv", "studies.csv", "robustness.csv", "factors.csv")
+
+
+@pytest.fixture(scope="module")
+def outcomes():
+    studies = [outcomes_of(synthetic_trials(seed), ["comfort"]) for seed in range(6)]
+    return pd.concat([o.assign(group="g", study=k) for k, o in enumerate(studies)], ignore_index=True)
+
+
+def test_shares_count_studies(outcomes):
+    findings = findings_over(outcomes)
+    assert len(findings) == 38 and (findings["studies"] == 6).all()
+    for row in findings.itertuples():
+        mine = outcomes[outcomes["id"] == row.id]
+        assert row.replicated == mine["outcome"].eq("replicated").mean()
+        assert row.median == pytest.approx(mine["dz_toward_paper"].median())
+        assert (row.metric == "comfort") == (row.withdrawn == 1)
+    assert findings["replicated"].max() > 0
+    assert len(wrong_over(outcomes)) == 63
+
+
+def test_a_positive_effect_is_one_in_the_papers_direction(outcomes):
+    findings = outcomes[(outcomes["id"] != "") & outcomes["significant"]]
+    toward = findings["greater"] == findings["paper_greater"]
+    assert ((findings["dz_toward_paper"] > 0) == toward).all() and toward.any()
+
+
+def test_scores_add_up(outcomes):
+    trials = synthetic_trials(0)
+    scores = scores_of(trials, outcomes_of(trials, ["comfort"]))
+    assert scores["replicated"] == sum(scores[f"replicated_{e}"] for e in ("M", "P", "S", "S0"))
+    assert scores["win_rate_nhg"] == trials.loc[trials["condition"] == "nhg", "win_rate"].mean()
+
+
+def test_what_ua_changes_is_the_effect_of_e_over_d(outcomes):
+    found = ua_over(outcomes).set_index("metric")
+    pair = outcomes[(outcomes["x"] == "d") & (outcomes["y"] == "e") & (outcomes["metric"] == "win_rate")]
+    assert found.loc["win_rate", "mean"] == pytest.approx(-pair["dz"].mean())
+    low, high = found.loc["win_rate", ["low", "high"]]
+    interval = scipy_stats.t.interval(0.95, len(pair) - 1, -pair["dz"].mean(), pair["dz"].sem())
+    assert (low, high) == pytest.approx(interval)
+
+
+def test_the_assumption_that_matters_is_found(outcomes):
+    rng = np.random.default_rng(0)
+    studies = pd.concat([outcomes[outcomes["study"] == 0].assign(study=k) for k in range(40)], ignore_index=True)
+    factors = pd.DataFrame(rng.random((40, 5)), columns=list("abcde"))
+    studies["dz_toward_paper"] = studies["study"].map(factors["c"]) + 0.05 * rng.standard_normal(len(studies))
+    found = leans_on(studies, factors, strongest=1)
+    assert len(found) == 38 and (found["parameter"] == "c").all() and (found["correlation"] > 0.9).all()
+    assert (found["p"] < 0.001).all()
+
+
+def test_the_map_has_a_cell_per_finding_and_group(outcomes):
+    both = pd.concat([outcomes, outcomes.assign(group="h")])
+    cells, effects = robustness_map(findings_over(both)).axes
+    assert cells.images[0].get_array().shape == (38, 2)
+    assert len(effects.lines[1].get_xdata()) == 38
+
+
+def test_a_killed_run_ends_like_one_never_killed(tmp_path, monkeypatch):
+    """Batches that are there are kept; whichever is missing is played again, in any company."""
+    smoke("guidance.commands.replicate", f"hydra.run.dir={tmp_path}/whole")
+    batches = sorted(path.name for path in (tmp_path / "whole" / "batches").iterdir())
+    assert batches == [f"{g}-{k:04d}.csv" for g in ("V0", "V1", "V2") for k in (3, 5)] + [
+        *("alike-0000.csv", "replicates-0000.csv", "replicates-0002.csv", "swapped-0000.csv")
+    ]
+    expected = {name: (tmp_path / "whole" / name).read_bytes() for name in (*RESULTS, "robustness.svg")}
+    for name in (*RESULTS, "batches/V1-0003.csv", "batches/replicates-0002.csv", "replicate.html"):
+        (tmp_path / "whole" / name).unlink()
+    done = start("guidance.commands.replicate", f"resume={tmp_path}/whole", f"hydra.run.dir={tmp_path}/again")
+    assert done.returncode == 0, done.stderr
+    assert expected == {name: (tmp_path / "whole" / name).read_bytes() for name in expected}
+    page = (tmp_path / "whole" / "replicate.html").read_text(encoding="utf-8")
+    assert "not replicates of the frozen study" in page and "other assumptions, V2" in page
+    smoke("guidance.commands.replicate", "together=7", f"hydra.run.dir={tmp_path}/other")
+    for name in ("outcomes.csv", "studies.csv"):
+        assert (tmp_path / "other" / name).read_bytes() == expected[name]
+
+
+def test_a_ray_cluster_gives_the_same_bits(tmp_path, monkeypatch):
+    pytest.importorskip("ray")
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # or Ray writes a token into the home folder
+    few = ["sensitivity.points=0", "together=2"]
+    for name, more in (("here", []), ("there", ["ray=local"])):
+        smoke("guidance.commands.replicate", *few, *more, f"hydra.run.dir={tmp_path}/{name}")
+    written = [file.relative_to(tmp_path / "here") for file in (tmp_path / "here").glob("**/*.csv")]
+    assert len(written) == 4 + len(RESULTS)
+    for file in written:
+        assert (tmp_path / "here" / file).read_bytes() == (tmp_path / "there" / file).read_bytes(), file
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("participants=2", "participants = 2 must be a whole number of at least 3"),
+        ("sensitivity.largest=1", "sensitivity.largest = 1 must be a number above 1.0"),
+        ("sensitivity.variants=[V7]", "users.variant = 'V7' must be one of V0, V1, V2"),
+        ("sensitivity.parameters=[courage]", "courage is not a parameter of people"),
+        ("n=0 sensitivity.points=0", "n = 0 must be at least 1 where sensitivity.points is 0"),
+        ("device=tpu", "device = tpu must be one of cpu, cuda"),
+        ("ray=3", "ray = 3 must be null, local, auto or the address of a cluster"),
+        ("resume=nowhere", "resume = nowhere is not the folder of a run that can go on"),
+    ],
+)
+def test_wrong_settings_end_in_one_line_before_any_work(monkeypatch, capsys, tmp_path, argument, message):
+    monkeypatch.setattr(replicate, "run_studies", None)
+    monkeypatch.setattr("sys.argv", ["replicate", f"hydra.run.dir={tmp_path}/run", *argument.split()])
+    with pytest.raises(SystemExit) as stopped:
+        replicate.main()
+    shown = capsys.readouterr().err
+    assert stopped.value.code == 2 and shown.count("\n") == 1 and message in shown

@@ -1,0 +1,210 @@
+"""The protocol of section 4.2, with people, models and tables in it."""
+
+from collections import Counter
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+
+from airhockey_marl.envs.physics import Table
+from airhockey_marl.players.networks import GaussianPolicy
+from airhockey_marl.players.players import confident
+from guidance.forces.conditions import Combined, Condition, NoGuidance, Spring, Thresholds, Toward
+from guidance.simulated_users import NO_MENTORS, Users, sample_people
+from guidance.study.batched_guidance import Guide
+from guidance.study.games import no_force, play_games
+from guidance.study.models import Models
+from guidance.study.protocol import Protocol, balanced, order_of, streams, williams
+from guidance.study.study import Cohort, run_studies, run_study
+
+SHORT = Protocol(familiarisation=0.2, rounds=2, extra_rounds=1, min_seconds=4, round_seconds=3)
+SPRING, UT = Spring(50.0, 3.0, 0.075), Thresholds(0.3, 0.6)
+NHG = Condition("nhg", "a", "NHG", NoGuidance())
+OAHG = Condition("oahg", "b", "OAHG (vanilla)", Toward("optimal", SPRING))
+UPHG_UA = Condition("uphg_ua", "e", "UPHG (UA)", Toward("adapted", SPRING))
+COMBHG = Condition(
+    "combhg_ut_ua_sc",
+    "i",
+    "CombHG (UT+UA+SC)",
+    Combined(Toward("optimal", SPRING, UT), Toward("adapted", SPRING, UT), similarity=True),
+)
+SCALES = dict.fromkeys(
+    ("conflict", "unsupported", "supportive_power", "deviation", "effort", "jerk", "surprise", "hindsight"), 1.0
+)
+
+
+@pytest.fixture(scope="module")
+def models() -> Models:
+    torch.manual_seed(0)
+    return Models(GaussianPolicy([16]), GaussianPolicy([16]), GaussianPolicy([16]), 0.1, {})
+
+
+def opponent(observation: torch.Tensor) -> torch.Tensor:
+    """Stays before its goal, in line with the puck."""
+    return torch.stack([torch.full((len(observation),), -0.8), (2 * observation[:, 9]).clamp(-0.3, 0.3)], dim=1)
+
+
+def study(models, conditions, protocol=SHORT, people=3, seed=0, **kwargs):
+    people, how = sample_people(people, 100), (Table(), "V1", NO_MENTORS, SCALES)
+    return run_study(people, conditions, models, opponent, 0.1, protocol, *how, seed=seed, **kwargs)
+
+
+def test_the_same_seed_gives_the_same_trials(models):
+    first = study(models, [NHG, COMBHG])
+    assert first.equals(study(models, [NHG, COMBHG]))
+    assert not first.equals(study(models, [NHG, COMBHG], seed=1))
+
+
+def test_no_force_is_nhg_bit_for_bit(models):
+    """A spring without stiffness, weighed and combined as in (i), leaves no trace in anything that was played."""
+    slack = Toward("optimal", Spring(0.0, 3.0, 0.075), UT)
+    nothing = Condition("nothing", "a", "nothing", Combined(slack, slack, similarity=True))
+    nhg, none = study(models, [NHG]), study(models, [nothing])
+    played = [c for c in nhg.columns if not c.startswith("w_") and c != "condition"]
+    assert nhg[played].equals(none[played])
+
+
+def test_a_condition_is_played_alike_alone_and_among_others(models):
+    """To the last bit, models and springs included."""
+    together = study(models, [NHG, OAHG, UPHG_UA, COMBHG])
+    for condition in (NHG, OAHG, UPHG_UA, COMBHG):
+        alone = study(models, [condition])
+        assert together[together["condition"] == condition.name].reset_index(drop=True).equals(alone)
+
+
+def test_a_study_is_played_alike_alone_and_beside_others(models):
+    """A hundred people are enough for the kernels to run on several threads."""
+    cohorts = [Cohort(sample_people(n, n), n) for n in (3, 100, 4)]
+    how = ([NHG, OAHG, COMBHG], models, opponent, 0.1, SHORT, Table(), "V1", NO_MENTORS, SCALES)
+    for cohort, trials in zip(cohorts, run_studies(cohorts, *how), strict=True):
+        assert trials.equals(run_studies([cohort], *how)[0])
+
+
+def test_swapped_demonstrations_change_ua_and_nothing_else(models):
+    cohorts = [Cohort(sample_people(n, n), n) for n in (3, 2)]
+    how = ([NHG, OAHG, UPHG_UA], models, opponent, 0.1, SHORT, Table(), "V1", NO_MENTORS, SCALES)
+    for own, swapped in zip(run_studies(cohorts, *how), run_studies(cohorts, *how, swapped=True), strict=True):
+        ua = own["condition"] == "uphg_ua"
+        assert own[~ua].equals(swapped[~ua])
+        assert (own.loc[ua, "mean_disagreement"] != swapped.loc[ua, "mean_disagreement"]).all()
+
+
+def test_nine_orders_are_balanced_over_multiples_of_eighteen():
+    assert balanced(36, 9) and not balanced(20, 9) and balanced(20, 4)
+
+
+def test_a_condition_beyond_the_nine_comes_after_them(models):
+    trials = study(models, [NHG, replace(OAHG, name="mine", letter="k"), replace(OAHG, name="other", letter="j")])
+    assert (trials["position"][trials["condition"] == "mine"] == 11).all()
+    assert (trials["position"][trials["condition"] == "other"] == 10).all()
+    assert trials["position"][trials["condition"] == "nhg"].le(9).all()
+
+
+def test_rows_and_columns_are_those_of_trials_csv(models):
+    trials = study(models, [NHG, UPHG_UA, COMBHG])
+    assert list(trials.columns) == [
+        *("user", "condition", "position", "win_rate", "mean_smash_speed", "defense_rate", "mean_disagreement"),
+        *("helpfulness", "naturalness", "controllability", "comfort", "rounds", "duration_s"),
+        *("w_unc_optimal_mean", "w_unc_optimal_sd", "w_unc_user_mean", "w_unc_user_sd", "w_sim_mean", "w_sim_sd"),
+        "seed",
+    ]
+    assert list(trials["user"].unique()) == ["S01", "S02", "S03"] and len(trials) == 9
+    nhg, ua, comb = (trials[trials["condition"] == c.name] for c in (NHG, UPHG_UA, COMBHG))
+    assert nhg["mean_disagreement"].isna().all() and ua["mean_disagreement"].notna().all()
+    assert nhg["w_sim_mean"].isna().all() and ua["w_unc_user_mean"].isna().all()
+    assert comb[["w_unc_optimal_mean", "w_unc_user_mean", "w_sim_mean"]].notna().all(axis=None)
+    assert trials[["helpfulness", "naturalness", "controllability", "comfort"]].isin(range(1, 8)).all(axis=None)
+
+
+def test_a_game_has_its_rounds_and_its_extra_rounds_only_while_it_is_short():
+    people = sample_people(4, 100)
+
+    def play(protocol):
+        users = Users(people, streams(0, range(4), 0, 0))
+        return play_games(users, opponent, no_force, protocol, Table(), streams(0, range(4), 0, 1))
+
+    timed = Protocol(familiarisation=0, rounds=2, extra_rounds=3, min_seconds=0, round_seconds=0.5)
+    games = play(timed)
+    assert (games.rounds == 2).all()
+    longer = play(Protocol(0, 2, 3, 1e6, 0.5))
+    assert (longer.rounds == 5).all() and (longer.seconds > games.seconds).all()
+    some = play(Protocol(0, 2, 3, 1.2, 0.5))  # over as soon as 1.2 s are played, after 2 rounds at least
+    assert ((some.rounds >= 2) & (some.rounds <= 5) & (some.seconds >= 1.2 - 1e-9)).all()
+
+
+def test_demonstrations_are_the_scored_play():
+    people = sample_people(3, 100)
+    users = Users(people, streams(0, range(3), 0, 0))
+    protocol = Protocol(1.0, 2, 0, 0, 1.0)
+    games = play_games(users, opponent, no_force, protocol, Table(), streams(0, range(3), 0, 1), True)
+    for seconds, (observation, action) in zip(games.seconds, games.demonstrations, strict=True):
+        assert len(observation) == len(action) == round(seconds / 0.02)
+        assert observation.shape[1] == 12 and action.abs().max() <= 1
+
+
+def test_guidance_really_guides():
+    """A model that always wants the right front corner pulls hands there."""
+    corner = GaussianPolicy([4])
+    with torch.no_grad():
+        corner.head.weight.zero_()
+        corner.head.bias[:] = torch.tensor([1.0, -1.0, -3.0, -3.0])
+    models = Models(corner, corner, corner, 0.1, {})
+    n, people = 30, sample_people(30, 100)
+
+    def mean_action(condition):
+        users = Users(people, streams(0, range(n), 0, 0))
+        guide = Guide([condition], n, models, None, 0.1)
+        protocol = Protocol(0, 1, 0, 0, 20)
+        games = play_games(users, opponent, guide, protocol, Table(), streams(0, range(n), 0, 1), True)
+        return torch.cat([action for _, action in games.demonstrations]).mean(0)
+
+    shift = mean_action(OAHG) - mean_action(NHG)
+    assert shift[0] > 0.02 and shift[1] < -0.02
+
+
+def test_guide_rows_are_conditions_by_users(models):
+    guide = Guide([NHG, OAHG, COMBHG], 4, models, models.adapted_to([(torch.randn(9, 12), torch.randn(9, 2))] * 4), 0.0)
+    state, action = np.random.default_rng(0).normal(size=(2, 12, 12))
+    action = action[:, :2]
+    guided = guide(state, action)
+    assert guided.force.shape == (12, 2) and not guided.force[:4].any()
+    mean = confident(models.optimal)(torch.from_numpy(state[4:8]).float())
+    expected = SPRING.force(torch.from_numpy(action[4:8]).float(), mean)
+    assert torch.allclose(guided.force[4:8].float(), expected, atol=1e-6)
+    assert guided.w_sim[:8].isnan().all() and guided.w_sim[8:].isfinite().all()
+
+
+def test_adaptation_is_needed_where_ua_is():
+    torch.manual_seed(0)
+    model = GaussianPolicy([4])
+    with pytest.raises(ValueError, match="adapted"):
+        Guide([UPHG_UA], 2, Models(model, model, model, 0.1, {}), None, 0.1)
+    with pytest.raises(ValueError, match=r"guidance\.lookahead = -1"):
+        Guide([NHG], 2, Models(model, model, model, 0.1, {}), None, -1)
+
+
+@pytest.mark.parametrize("conditions", [2, 4, 9])
+def test_a_williams_design_balances_order_and_what_comes_before(conditions):
+    design = williams(conditions)
+    assert all(sorted(row) == list(range(conditions)) for row in design)
+    at = Counter((position, c) for row in design for position, c in enumerate(row))
+    before = Counter((a, b) for row in design for a, b in pairwise(row))
+    assert set(at.values()) == {len(design) // conditions}
+    assert len(before) == conditions * (conditions - 1) and len(set(before.values())) == 1
+
+
+def test_orders_are_balanced_over_a_multiple_of_the_design():
+    position = order_of(36, 9, seed=0)
+    assert position.shape == (36, 9) and all(sorted(row) == list(range(1, 10)) for row in position)
+    assert all(Counter(position[:, c]) == Counter(dict.fromkeys(range(1, 10), 4)) for c in range(9))
+
+
+@pytest.mark.parametrize(
+    ("field", "value"), [("rounds", 0), ("familiarisation", -1), ("extra_rounds", -1), ("round_seconds", 0)]
+)
+def test_wrong_protocols_are_named(field, value):
+    settings = {"familiarisation": 0, "rounds": 1, "extra_rounds": 0, "min_seconds": 0, "round_seconds": 1}
+    with pytest.raises(ValueError, match=rf"study\.{field} = {value}"):
+        Protocol(**{**settings, field: value})

@@ -1,0 +1,192 @@
+"""Predictors of a person: what they say of play made up so that the right answer is known."""
+
+import json
+import math
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from airhockey_marl.envs.physics import Table, reach
+from guidance.commands import prediction_report
+from guidance.study.models import Models
+from guidance.user_model.data import Demonstrations
+from guidance.user_model.evaluation import (
+    SIGMAS,
+    adapted_model,
+    ahead,
+    by_model,
+    extrapolation,
+    interval,
+    judge,
+    paddle,
+    persistence,
+    predictors,
+    reliability,
+)
+from guidance.user_model.maml import parameters
+from tests.guidance.user_model.test_training import ALPHA, Gaussian
+
+TABLE = Table()
+MIDDLE, HALF = (torch.tensor(part, dtype=torch.float32) for part in reach(TABLE))
+
+
+def gliding(ticks: int = 400, lead: float = 0.06) -> tuple[torch.Tensor, torch.Tensor]:
+    """A paddle that goes round in an ellipse, and a hand that is `lead` s ahead of it."""
+    seconds = TABLE.tick * torch.arange(ticks)
+
+    def place(t: torch.Tensor) -> torch.Tensor:
+        return torch.stack([0.5 * torch.sin(2 * t), 0.4 * torch.cos(2 * t)], dim=-1)
+
+    velocity = torch.stack([torch.cos(2 * seconds), -0.8 * torch.sin(2 * seconds)], dim=-1)
+    observation = torch.zeros(ticks, 12)
+    observation[:, 0:2], observation[:, 2:4] = MIDDLE + HALF * place(seconds), HALF * velocity
+    observation[:, 8] = 0.4
+    return observation, place(seconds + lead)
+
+
+def test_the_paddle_is_in_units_of_action():
+    observation, action = gliding(lead=0.0)
+    place, velocity = paddle(observation, TABLE)
+    assert torch.allclose(place, action, atol=1e-5)
+    assert torch.allclose((place[2:] - place[:-2]) / (2 * TABLE.tick), velocity[1:-1], atol=2e-2)
+
+
+def test_extrapolation_finds_the_lead_and_persistence_does_not():
+    observation, action = gliding()
+    moved, stays = (make(observation, action, TABLE) for make in (extrapolation, persistence))
+    for seconds, most in ((0.0, 0.01), (0.1, 0.05)):
+        found = [judge(predictor, observation, action, seconds, TABLE) for predictor in (moved, stays)]
+        assert found[0]["rmse"] < most < found[1]["rmse"]
+        assert found[0]["nll"] < found[1]["nll"]
+    assert judge(stays, observation, action, 0.0, TABLE)["rmse"] == pytest.approx(0.06 * 0.905, rel=0.05)
+
+
+def test_ahead_stays_within_a_round():
+    observation, _ = gliding(100)
+    observation[40] = 0.0
+    observation[40, 0], observation[40, 4] = -TABLE.length / 4, TABLE.length / 4  # a round begins
+    now, then = ahead(observation, 0.1, TABLE)
+    assert torch.equal(then, now + 5)
+    assert set(range(95)) - set(now.tolist()) == {35, 36, 37, 38, 39}
+    assert len(ahead(observation, 0.0, TABLE)[0]) == 100
+
+
+def test_a_gaussian_is_covered_as_a_gaussian_is():
+    torch.manual_seed(0)
+    std = 0.05 + 0.1 * torch.rand(60_000, 2)
+    observation, mean = torch.zeros(60_000, 12), 0.1 * torch.randn(60_000, 2)
+    observation[:, 8] = 0.3
+    action = mean + std * torch.randn_like(std)
+    lookup = iter([(mean, std)] * 3)
+    found = judge(lambda seen, seconds: next(lookup), observation, action, 0.0, TABLE)
+    for sigma, share in SIGMAS.items():
+        assert found[f"within_{sigma}"] == pytest.approx(share, abs=0.006)
+    reference = -torch.distributions.Normal(mean, std).log_prob(action).sum(-1).mean().item()
+    assert found["nll"] == pytest.approx(reference, abs=1e-4)
+    said, seen = reliability(lambda seen, seconds: next(lookup), observation, action)
+    assert torch.allclose(said, seen, rtol=0.04) and (said[1:] > said[:-1]).all()
+    overconfident, _ = reliability(lambda seen, seconds: (mean, std / 2), observation, action)
+    assert torch.allclose(overconfident, said / 2, rtol=1e-5)
+
+
+def test_a_model_is_asked_about_the_state_ahead():
+    observation, _ = gliding()
+    place, velocity = observation[:, 0:2], observation[:, 2:4]
+    mean, _ = by_model(lambda seen: (seen[..., 0:2], seen[..., 0:2]))(observation, 0.2)
+    assert torch.allclose(mean, place + 0.2 * velocity)
+
+
+def test_adapted_is_the_model_adapted_to_that_game():
+    torch.manual_seed(0)
+    meta, (observation, action) = Gaussian(), gliding(200)
+    everybody = predictors(Gaussian(), meta, ALPHA, observation, action, TABLE)
+    before, after = (judge(everybody[name], observation, action, 0.0, TABLE) for name in ("before_ua", "after_ua"))
+    assert after["loss"] < before["loss"]
+    same = adapted_model(meta, parameters(meta))(observation)
+    assert torch.equal(same[0], meta(observation)[0])
+
+
+def test_the_interval_is_students():
+    values = np.array([1.0, 2.0, 3.0, 4.0])
+    mean, low, high = interval(values)
+    assert (mean, high - mean) == pytest.approx((2.5, 3.182446 * values.std(ddof=1) / 2), rel=1e-5)
+    assert low == pytest.approx(2 * mean - high)
+    assert math.isnan(interval(np.array([1.0]))[1])
+
+
+def test_a_model_of_ones_own_is_found_better():
+    matrix = np.array([[1.0, 5.0, 3.0], [4.0, 2.0, 4.0], [2.0, 3.0, 1.0]])
+    found = prediction_report.for_whom(matrix)
+    assert found["own"]["mean"] == pytest.approx(4 / 3)
+    assert found["others"]["mean"] == pytest.approx((3 + 4 + 3.5) / 3)
+    assert found["advantage"]["mean"] == pytest.approx((2 + 2 + 2.5) / 3)
+
+
+def test_models_of_the_action_ahead_are_judged_by_the_action_ahead():
+    """A model that says at once where the hand will be in 0.1 s is right about it, and its own player's."""
+    lead = TABLE.tick * 5
+    observation, action = gliding(400, lead=0.0)
+    data = Demonstrations(*(part.repeat(2, 2, 1, 1) for part in (observation, action)))
+
+    class Prophet(nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.shift = nn.Parameter(torch.zeros(2))
+
+        def forward(self, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+            place, velocity = paddle(seen, TABLE)
+            turned = math.cos(2 * lead) * place + math.sin(2 * lead) / 2 * velocity  # exact, on an ellipse
+            return turned + self.shift, torch.full_like(place, 0.01)
+
+    prophet = Prophet()
+    models = Models(prophet, prophet, prophet, 1e-9, {}, ahead=lead)
+    matrix = prediction_report.everybody_by_everybody(models, data, TABLE)
+    assert matrix.shape == (2, 2) and matrix.max() < 0.03
+    found = prediction_report.reliabilities(models, data, TABLE)
+    assert np.median(found["after_ua"]["seen"]) < 1e-3
+    late = prediction_report.everybody_by_everybody(replace(models, ahead=0.0), data, TABLE)
+    assert late.min() > 0.05
+
+
+@pytest.fixture(scope="module")
+def reported(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("prediction")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", ["prediction_report", "+preset=smoke", f"hydra.run.dir={folder}"])
+        prediction_report.main()
+    return folder
+
+
+def test_the_report_is_whole(reported):
+    found = json.loads((reported / "prediction.json").read_text())
+    assert len(found["ahead"]) == 5 * 4 and found["people"] == 4
+    assert np.array(found["matrix"]).shape == (4, 4)
+    assert [row["minutes"] for row in found["minutes"]] == [0.05, 0.1] and len(found["steps"]) == 2
+    at = {(row["predictor"], row["ahead_s"]): row["rmse"]["mean"] for row in found["ahead"]}
+    assert at["persistence", 0.0] > at["extrapolation", 0.0] > 0
+    assert at["extrapolation", 0.3] > at["extrapolation", 0.0]
+    page = (reported / "prediction_report.html").read_text()
+    assert page.count("data:image/png;base64,") == 3 and "http" not in page.replace("http-equiv", "")
+    for name in ("ahead", "adaptation", "reliability"):
+        assert (reported / f"{name}.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("participants=1", "participants = 1 must be a whole number of at least 2"),
+        ("ahead=[-1]", "ahead = [-1] must be numbers of at least 0.0"),
+        ("minutes=[99]", "minutes = [99] must hold one of at most"),
+        ("models.meta=guidance/pretrained/user.safetensors", "was not meta-learned"),
+    ],
+)
+def test_wrong_values_are_named(argument, message, monkeypatch, tmp_path, capsys):
+    arguments = ["prediction_report", "+preset=smoke", f"hydra.run.dir={tmp_path}", argument]
+    monkeypatch.setattr(sys, "argv", arguments)
+    with pytest.raises(SystemExit) as stop:
+        prediction_report.main()
+    assert stop.value.code == 2 and message in capsys.readouterr().err

@@ -1,0 +1,338 @@
+"""Broken and hostile input, case after case: every loader, the configuration and the force layer.
+
+    python -m tests.robustness.fuzz_inputs 100000        so many cases, and how each kind ended, as JSON
+
+A case is drawn by its number alone. It ends well where the input was taken or refused by a `ValueError` in one line
+(an `InputError` is one); anything else is a fault, and so is a trace of something that was executed.
+"""
+
+import json
+import math
+import os
+import pickle
+import struct
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+from safetensors.torch import save_file
+
+from airhockey_marl.experiment.building import build
+from airhockey_marl.experiment.checkpoint import Checkpoint
+from airhockey_marl.experiment.command import config_of, require_counts, require_numbers
+from airhockey_marl.experiment.files import load_tensors, save_tensors
+from airhockey_marl.league.league import League
+from airhockey_marl.players.networks import GaussianPolicy
+from guidance.forces.equations import similarity_weight, spring_force, uncertainty_weight
+from guidance.haptics.safety import Limits, Safety
+from guidance.sessions.bids import Records, check_label
+from guidance.statistics.report import merge
+from guidance.study.models import load_user_model
+from guidance.study.tick_log import COLUMNS, read_ticks
+
+TAKEN, REFUSED = "taken", "refused"
+ODD = [0.0, -0.0, 1e-320, 1e308, -1e308, math.inf, -math.inf, math.nan, 3.0, 1e-9]
+
+
+class Trap:
+    """A pickle that leaves a trace where it is loaded."""
+
+    def __init__(self, place: Path) -> None:
+        self.place = place
+
+    def __reduce__(self):
+        return (os.system, (f"touch {self.place}",))
+
+
+def refused(task: Callable[[], object]) -> str:
+    """Whether the input of this task was taken or refused; anything else is raised."""
+    try:
+        task()
+    except OmegaConfBaseException:
+        return REFUSED  # which the command line shows in one line
+    except ValueError as error:
+        text = str(error)
+        assert text.strip(), "refused without a word"
+        return REFUSED
+    return TAKEN
+
+
+def damaged(content: bytes, rng: np.random.Generator) -> bytes:
+    """The same with some bits turned, cut off, repeated, or with something else in it."""
+    kind, data = rng.integers(6), bytearray(content)
+    if kind == 0:
+        return bytes(data[: rng.integers(len(data))])
+    if kind == 1:
+        for place in rng.integers(len(data), size=rng.integers(1, 9)):
+            data[place] ^= 1 << int(rng.integers(8))
+    elif kind == 2:  # in the header, where it says what is what
+        for place in rng.integers(min(len(data), 200), size=rng.integers(1, 5)):
+            data[place] = int(rng.integers(256))
+    elif kind == 3:
+        at = int(rng.integers(len(data)))
+        data[at:at] = rng.bytes(int(rng.integers(1, 50)))
+    elif kind == 4:
+        data[:8] = struct.pack("<Q", int(rng.integers(2**62)))
+    else:
+        at = int(rng.integers(len(data)))
+        data[at : at + 20] = rng.choice(
+            [b"-1", b"1e999", b"null", b"[[", b'"', b"\xff\xfe", b"=cmd|", b"\t\t", b"\n", b"NaN", b"\0"]
+        )
+    return bytes(data)
+
+
+class Case:
+    """What the cases share: good files of every kind, in a folder of their own."""
+
+    def __init__(self, folder: Path) -> None:
+        self.folder, self.trap = folder, folder / "executed"
+        self.file = folder / "input.safetensors"
+        policy = GaussianPolicy([4])
+        save_tensors(self.file, policy.state_dict(), {**policy.facts, "inner_lr": 0.1})
+        self.model = self.file.read_bytes(), self.without_hash()
+        league = League(policy)
+        for _ in range(2):
+            league.add(policy)
+        league.save(self.file)
+        self.league = self.file.read_bytes(), self.without_hash()
+        self.checkpoint().save(self.file, {"generation": 1})
+        self.state = self.file.read_bytes(), self.without_hash()
+        self.csv = b"user,condition,seed,win_rate,mean_smash_speed,defense_rate,mean_disagreement,helpfulness,"
+        self.csv += (
+            b"naturalness,controllability,comfort\nS01,nhg,1,.5,2.0,.5,.1,4,4,4,4\nS02,oahg,1,.5,2,.5,.1,4,4,4,4\n"
+        )
+        self.tsv = "\t".join(COLUMNS).encode() + b"\n" + b"\t".join(b"0.5" for _ in COLUMNS) + b"\n"
+        self.yaml = (
+            b"resume: null\nseed: 1\nmaml:\n  block: 3\n  lr: 0.1\npart:\n  _target_: guidance.haptics.safety.Limits\n"
+        )
+
+    def checkpoint(self) -> Checkpoint:
+        policy = GaussianPolicy([4])
+        optimizer = torch.optim.Adam(policy.parameters())
+        policy(torch.zeros(1, 12))[0].sum().backward()
+        optimizer.step()
+        return Checkpoint(
+            {"policy": policy, "optimizer": optimizer}, np.random.default_rng(0), [np.zeros(3, np.uint64)]
+        )
+
+    def without_hash(self) -> bytes:
+        """The file as it is, but of the time before files had a hash: what is turned then is not noticed by it."""
+        tensors, facts = load_tensors(self.file)
+        save_file(tensors, self.file, metadata={"facts": json.dumps(facts)})
+        return self.file.read_bytes()
+
+    def put(self, content: bytes, name: str = "input.safetensors") -> Path:
+        path = self.folder / name
+        path.parent.mkdir(exist_ok=True)
+        path.write_bytes(content)
+        return path
+
+    def tensors(self, rng: np.random.Generator) -> str:
+        return refused(lambda: load_tensors(self.put(damaged(self.model[rng.integers(2)], rng))))
+
+    def user_model(self, rng: np.random.Generator) -> str:
+        return refused(lambda: load_user_model(self.put(damaged(self.model[rng.integers(2)], rng))))
+
+    def generations(self, rng: np.random.Generator) -> str:
+        return refused(lambda: League.load(self.put(damaged(self.league[rng.integers(2)], rng))))
+
+    def training_state(self, rng: np.random.Generator) -> str:
+        return refused(
+            lambda: self.checkpoint().load(self.put(damaged(self.state[rng.integers(2)], rng)), {"generation": int})
+        )
+
+    def made_up_model(self, rng: np.random.Generator) -> str:
+        """Files that are what they say, and say something strange; with a hash that is right, or none."""
+        facts = {"hidden": [4], "inputs": "table", "inner_lr": 0.1}
+        values = [None, "x", -1, 2.5, [], [4, "a"], [2**40], {}, True, [[4]], [0], [4.0], "table", 1e300, [4, 4]]
+        facts[str(rng.choice(list(facts)))] = values[rng.integers(len(values))]
+        tensors = dict(GaussianPolicy([4]).state_dict())
+        name = str(rng.choice(list(tensors)))
+        kind = rng.integers(6)
+        if kind == 0:
+            tensors[name] = tensors[name] * math.nan
+        elif kind == 1:
+            tensors[name] = tensors[name].int()
+        elif kind == 2:
+            tensors[name] = tensors[name][None]
+        elif kind == 3:
+            tensors.pop(name)
+        elif kind == 4:
+            tensors[name + "x"] = tensors[name].clone()
+        save_tensors(self.file, tensors, facts)
+        load = [load_user_model, League.load][rng.integers(2)]
+        return refused(lambda: load(self.file))
+
+    def huge(self, rng: np.random.Generator) -> str:
+        """A header that claims more than there is."""
+        shape = [int(rng.integers(2**62)) for _ in range(rng.integers(1, 4))]
+        header = {"a": {"dtype": "F32", "shape": shape, "data_offsets": [0, int(rng.integers(2**62))]}}
+        text = json.dumps(header).encode()
+        length = len(text) if rng.random() < 0.5 else int(rng.integers(2**62))
+        result = refused(lambda: load_tensors(self.put(struct.pack("<Q", length) + text)))
+        assert result == REFUSED
+        return result
+
+    def pickled(self, rng: np.random.Generator) -> str:
+        data = pickle.dumps(Trap(self.trap), protocol=int(rng.integers(6)))
+        if rng.random() < 0.5:
+            torch.save({"x": Trap(self.trap)}, self.file)
+        else:
+            self.put(data)
+        load = [load_tensors, load_user_model, League.load][rng.integers(3)]
+        result = refused(lambda: load(self.file))
+        assert result == REFUSED
+        return result
+
+    def trials(self, rng: np.random.Generator) -> str:
+        path = self.put(damaged(self.csv, rng), "trials/trials.csv")
+        return refused(lambda: merge([path]))
+
+    def manifest(self, rng: np.random.Generator) -> str:
+        path = self.put(self.csv, "other/trials.csv")
+        self.put(damaged(b'{"study_hash": "ab", "seed": 3, "participants": "people"}', rng), "other/manifest.json")
+        return refused(lambda: merge([path]))
+
+    def game(self, rng: np.random.Generator) -> str:
+        path = self.put(damaged(self.tsv, rng), "game.tsv")
+        return refused(lambda: read_ticks(path))
+
+    def places(self, rng: np.random.Generator) -> str:
+        folder = self.folder / "study"
+        facts = {"study_hash": "x", "seed": 1}
+        if not folder.exists():
+            with Records(folder, facts) as records:
+                records.participant("P01")
+        name = ["participants.tsv", "manifest.json"][rng.integers(2)]
+        good = (folder / name).read_bytes()
+        (folder / name).write_bytes(damaged(good, rng))
+        try:
+            return refused(lambda: Records(folder, facts).close())
+        finally:
+            (folder / name).write_bytes(good)
+
+    def label(self, rng: np.random.Generator) -> str:
+        """Ways out of the folder."""
+        parts = ["..", "/", "\\", "P1", "\0", ".", "a", "~", "%2e", "CON", "\n", "é", "$(id)", "sub-", " ", "nan"]
+        label = "".join(rng.choice(parts, size=rng.integers(0, 5)))
+        result = refused(lambda: check_label(label))
+        assert result == REFUSED or (label.isalnum() and label.isascii() and len(label) <= 16), label
+        return result
+
+    def config(self, rng: np.random.Generator) -> str:
+        self.put(b"", "run/state")
+        (self.folder / "run" / ".hydra").mkdir(exist_ok=True)
+        content = damaged(self.yaml, rng)
+        if rng.random() < 0.3:
+            content += f"x: !!python/object/apply:os.system ['touch {self.trap}']\n".encode()
+        self.put(content, "run/.hydra/config.yaml")
+
+        def go_on() -> None:
+            cfg = config_of(self.folder / "run", "state")
+            require_counts(cfg, "maml.block", "seed")
+            require_numbers(cfg, "maml.lr")
+            build(cfg.part)
+
+        return refused(go_on)
+
+    def target(self, rng: np.random.Generator) -> str:
+        names = [
+            "os.system",
+            "builtins.exec",
+            "subprocess.run",
+            "guidance.haptics.servo.Servo",
+            "guidance.forces.conditions.torch.load",
+        ]
+        node: object = {"_target_": str(rng.choice(names)), "command": f"touch {self.trap}"}
+        for _ in range(rng.integers(4)):
+            node = [{"deeper": node}, [1, node], {"_target_": "guidance.haptics.safety.Limits", "force": node}][
+                rng.integers(3)
+            ]
+        result = refused(lambda: build(OmegaConf.create({"part": node}).part))
+        assert result == REFUSED
+        return result
+
+    def overrides(self, rng: np.random.Generator) -> str:
+        values = [*ODD, None, "x", True, [], {}, 2**70, -1, "1", "${seed}", "${nowhere}", "???"]
+        cfg = OmegaConf.create({"seed": 1, "maml": {"block": values[rng.integers(len(values))]}})
+        low = [0.0, -1.0, 1.0][rng.integers(3)]
+        if rng.random() < 0.5:
+            return refused(lambda: require_counts(cfg, "maml.block", least=int(low)))
+        return refused(lambda: require_numbers(cfg, "maml.block", above=low, at_most=10.0))
+
+    def safety(self, rng: np.random.Generator) -> str:
+        """Whatever is asked for, and wherever the hand is: finite, within the limit, no faster than it may change."""
+        limits = Limits(*np.exp(rng.uniform(-3, 6, 6)).tolist())
+        layer, before = Safety(limits), (0.0, 0.0)
+
+        def number(scale: float) -> float:
+            return ODD[rng.integers(len(ODD))] if rng.random() < 0.2 else float(rng.normal(0, scale))
+
+        for _ in range(20):
+            position = (number(limits.workspace / 3), number(limits.workspace / 3))
+            velocity = (number(limits.speed / 3), number(limits.speed / 3))
+            seconds = ODD[rng.integers(len(ODD))] if rng.random() < 0.05 else float(rng.uniform(1e-4, 0.1))
+            force = (number(3 * limits.force), number(3 * limits.force))
+            got = layer.filter(force, abs(number(0.03)), position, velocity, rng.random() < 0.8, seconds)
+            assert math.isfinite(got[0]) and math.isfinite(got[1]) and math.hypot(*got) <= limits.force, got
+            if layer.fault is None:
+                change = math.hypot(got[0] - before[0], got[1] - before[1])
+                assert change <= limits.slew * seconds * (1 + 1e-9) + 1e-12, (got, before)
+            else:
+                assert got == (0.0, 0.0)
+                layer.release()
+            before = got
+        return TAKEN
+
+    def forces(self, rng: np.random.Generator) -> str:
+        kind = torch.float32 if rng.random() < 0.5 else torch.float64
+
+        def vector() -> torch.Tensor:
+            largest = 30 if kind is torch.float32 else 250
+            return torch.tensor(rng.normal(size=2) * 10.0 ** rng.integers(-largest, largest, 2), dtype=kind)
+
+        limit, stiffness = 10.0 ** rng.uniform(-3, 3), 10.0 ** rng.uniform(-3, 6)
+        force = spring_force(vector(), vector(), stiffness, limit)
+        assert force.isfinite().all() and force.double().norm() <= limit * (1 + 1e-5)
+        for weight in (similarity_weight(vector(), vector()), uncertainty_weight(vector().abs(), 0.1, 0.5)):
+            assert 0 <= weight <= 1
+        return TAKEN
+
+
+KINDS = [name for name, value in vars(Case).items() if callable(value) and name[0] != "_"]
+KINDS = [name for name in KINDS if name not in ("checkpoint", "without_hash", "put")]
+SLOW = {"training_state": 4, "places": 8, "pickled": 2, "trials": 4, "game": 2, "config": 4, "manifest": 4}
+
+
+def fuzz(cases: int, seed: int = 0) -> dict:
+    """Try so many cases: how they ended, by kind, and those that were faults."""
+    ended: Counter[tuple[str, str]] = Counter()
+    faults, began = [], time.perf_counter()
+    chances = np.array([1 / SLOW.get(kind, 1) for kind in KINDS])
+    with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as folder:
+        shared = Case(Path(folder))
+        for number in range(cases):
+            rng = np.random.default_rng([seed, number])
+            kind = str(rng.choice(KINDS, p=chances / chances.sum()))
+            try:
+                how = getattr(shared, kind)(rng)
+                assert not shared.trap.exists(), "something was executed"
+            except Exception as error:  # of any type: that is what is looked for
+                how = "fault"
+                faults.append(f"{kind} [{seed}, {number}]: {type(error).__name__}: {str(error)[:200]}")
+            ended[kind, how] += 1
+    kinds = {kind: {how: ended[kind, how] for how in (TAKEN, REFUSED, "fault")} for kind in KINDS}
+    return {"cases": cases, "seconds": time.perf_counter() - began, "faults": faults, "kinds": kinds}
+
+
+if __name__ == "__main__":
+    found = fuzz(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+    found["faults"] = found["faults"][:40]
+    print(json.dumps(found, indent=1))

@@ -1,0 +1,308 @@
+"""Broken and hostile input is refused in one line, or taken where it is whole; nothing of it is ever executed."""
+
+import json
+import os
+import pickle
+import struct
+import sys
+import time
+import tracemalloc
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import torch
+from hydra import compose, initialize_config_dir
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from omegaconf import OmegaConf
+from safetensors.torch import save_file
+
+from airhockey_marl.commands import train
+from airhockey_marl.experiment.checkpoint import Checkpoint
+from airhockey_marl.experiment.command import CONF, config_of
+from airhockey_marl.experiment.config import read_config
+from airhockey_marl.experiment.files import load_tensors, save_tensors
+from airhockey_marl.league.league import League
+from airhockey_marl.players.networks import GaussianPolicy
+from guidance.haptics.safety import Limits, Safety
+from guidance.statistics.report import merge, write_report
+from guidance.statistics.tests import CONDITIONS, METRICS
+from guidance.study.models import Models, load_user_model
+from tests import ROOT
+from tests.robustness.fuzz_inputs import KINDS, REFUSED, TAKEN, Trap, fuzz
+
+LIMITS = Limits()
+NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
+
+
+def test_nothing_that_is_broken_is_more_than_refused():
+    found = fuzz(4_000)
+    assert not found["faults"], found["faults"][:5]
+    assert all(sum(ended.values()) > 5 for ended in found["kinds"].values())
+    for kind in KINDS:  # a target that takes everything, or nothing at all, is no test of its loader
+        ended = found["kinds"][kind]
+        assert ended[TAKEN] or kind in ("huge", "pickled", "target", "tensors", "user_model", "training_state"), kind
+        assert ended[REFUSED] or kind in ("safety", "forces"), kind
+
+
+@pytest.mark.slow
+def test_a_hundred_thousand_broken_things_are_no_more_than_refused():
+    found = fuzz(100_000, seed=1)
+    assert not found["faults"], found["faults"][:5]
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.binary(max_size=400))
+def test_no_bytes_are_a_model_by_chance(content):
+    with pytest.raises(ValueError):
+        path = Path(os.environ.get("TMPDIR", "/tmp")) / f"airhockey-{os.getpid()}.safetensors"
+        try:
+            path.write_bytes(content)
+            load_user_model(path)
+        finally:
+            path.unlink()
+
+
+@settings(max_examples=300, deadline=None)
+@given(st.lists(st.tuples(*[NUMBERS] * 7, st.booleans(), NUMBERS), max_size=12))
+def test_whatever_is_asked_for_what_acts_is_bounded(steps):
+    layer = Safety(LIMITS)
+    for fx, fy, age, px, py, vx, vy, held, seconds in steps:
+        x, y = layer.filter((fx, fy), age, (px, py), (vx, vy), held, seconds)
+        assert np.isfinite([x, y]).all() and np.hypot(x, y) <= LIMITS.force
+        assert layer.fault is None or (x, y) == (0.0, 0.0)
+
+
+def a_model(path: Path, facts: dict | None = None, **changes: torch.Tensor) -> Path:
+    policy = GaussianPolicy([4])
+    tensors = dict(policy.state_dict()) | {name.replace("_", "."): tensor for name, tensor in changes.items()}
+    save_tensors(path, tensors, policy.facts | {"inner_lr": 0.1} | (facts or {}))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("facts", "changes", "message"),
+    [
+        ({"hidden": "64"}, {}, r"hidden = '64' must name at least one layer"),
+        ({"hidden": None}, {}, r"hidden = None must name"),
+        ({"hidden": [4.0]}, {}, r"hidden = \(4\.0,\) must name"),
+        ({"hidden": [True]}, {}, r"hidden = \(True,\) must name"),
+        ({"hidden": [2**40]}, {}, r"weights, must be at most 10000000"),  # and no memory is asked for
+        ({"hidden": [10**5] * 3}, {}, r"weights, must be at most 10000000"),
+        ({"inputs": ["table"]}, {}, r"inputs = \['table'\] must be 'table' or 'paddle'"),
+        (
+            {},
+            {"head_bias": torch.full((4,), torch.nan)},
+            r"head\.bias has 4 values that are not finite, must have none",
+        ),
+        ({}, {"head_bias": torch.zeros(4, dtype=torch.int64)}, r"head\.bias is torch\.int64, must be floating point"),
+        ({}, {"head_bias": torch.zeros(5)}, r"head\.bias is \(5,\), the model has \(4,\)"),
+        ({}, {"head_more": torch.zeros(5)}, r"head\.more is \(5,\), the model has no such tensor"),
+    ],
+)
+def test_a_model_that_is_none_is_refused_by_what_is_wrong(tmp_path, facts, changes, message):
+    path = a_model(tmp_path / "user.safetensors", facts, **changes)
+    with pytest.raises(ValueError, match=message) as refused:
+        load_user_model(path)
+    assert str(path) in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("facts", "message"),
+    [
+        ({"inner_lr": float("nan")}, "inner_lr = nan must be a number from 0 to 1000"),
+        ({"inner_lr": "0.1"}, "inner_lr = 0.1 must be a number"),
+        ({"ahead_s": -1.0}, "ahead_s = -1.0 must be a number from 0 to 1"),
+        ({"ahead_s": [0]}, r"ahead_s = \[0\] must be a number"),
+    ],
+)
+def test_the_numbers_that_travel_with_a_model_are_looked_at(tmp_path, facts, message):
+    shipped = ROOT / "airhockey_marl/pretrained/league.safetensors"
+    user = a_model(tmp_path / "user.safetensors")
+    with pytest.raises(ValueError, match=message):
+        Models.load(shipped, -1, user, a_model(tmp_path / "meta.safetensors", facts))
+
+
+def test_a_turned_bit_is_found_in_whatever_was_written(tmp_path):
+    """Also where the number that it makes is a fine one."""
+    path = a_model(tmp_path / "user.safetensors")
+    content = bytearray(path.read_bytes())
+    content[-5] ^= 1
+    path.write_bytes(content)
+    with pytest.raises(ValueError, match="is damaged: its content is not what its own hash says"):
+        load_user_model(path)
+    tensors, facts = {"a": torch.zeros(3)}, {"x": 1}
+    save_file(tensors, path, metadata={"facts": json.dumps(facts)})  # as files were before they had one
+    assert load_tensors(path)[1] == facts
+
+
+def test_generations_of_different_number_are_refused(tmp_path):
+    policy, path = GaussianPolicy([4]), tmp_path / "league.safetensors"
+    stacked = {name: tensor[None].expand(3, *tensor.shape).clone() for name, tensor in policy.state_dict().items()}
+    for wrong in ({"head.bias": torch.zeros(2, 4)}, {name: tensor[:0] for name, tensor in stacked.items()}):
+        save_tensors(path, stacked | wrong, policy.facts)
+        with pytest.raises(ValueError, match=r"is of \d generations, must be of \d"):
+            League.load(path)
+
+
+def test_a_header_that_claims_terabytes_costs_nothing(tmp_path):
+    path = tmp_path / "huge.safetensors"
+    path.write_bytes(struct.pack("<Q", 2**43) + b"{}")
+    with pytest.raises(ValueError, match="is not a safetensors file"):
+        load_tensors(path)
+    header = json.dumps({"a": {"dtype": "F32", "shape": [2**40], "data_offsets": [0, 2**42]}}).encode()
+    path.write_bytes(struct.pack("<Q", len(header)) + header)
+    with pytest.raises(ValueError, match="is not a safetensors file"):
+        load_tensors(path)
+
+
+@pytest.mark.parametrize(
+    ("facts", "message"),
+    [
+        ({}, "generation = None must be a int"),
+        ({"generation": "9"}, "generation = '9' must be a int"),
+        ({"generation": 1, "rng": {"bit_generator": "MT19937"}}, "has random numbers of another kind"),
+    ],
+)
+def test_a_state_of_another_kind_is_refused(tmp_path, facts, message):
+    path = tmp_path / "state.safetensors"
+    checkpoint = Checkpoint({"policy": GaussianPolicy([4])}, np.random.default_rng(0), [])
+    checkpoint.save(path, {})
+    tensors, known = load_tensors(path)
+    save_tensors(path, tensors, known | facts)
+    with pytest.raises(ValueError, match=message):
+        checkpoint.load(path, {"generation": int})
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("a: [", "is no yaml"),
+        ("- 1\n", "must be a table of keys and values"),
+        ("seed: 1\n", "is not the configuration of a run"),
+        ("x: !!python/object/apply:os.system ['touch executed']\nresume: null\n", "is no yaml"),
+    ],
+)
+def test_a_run_folder_from_elsewhere_executes_nothing(tmp_path, monkeypatch, content, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "config.yaml").write_text(content)
+    (tmp_path / "state").touch()
+    with pytest.raises(ValueError, match=message):
+        config_of(tmp_path, "state")
+    assert not (tmp_path / "executed").exists()
+
+
+def each_nine_times(first: str, level: str, last: str, between: str = "") -> str:
+    """A yaml of twelve levels, each of which says the one before it nine times; `last` is how it is called there."""
+    said = [level.format(i, between.join([last.format(i - 1)] * 9)) for i in range(1, 12)]
+    return "\n".join(["resume: null", first, *said, ""])
+
+
+LAUGHS = each_nine_times("a0: &a0 ha", "a{0}: &a{0} [{1}]", "*a{}", ", ")
+TEXTS = each_nine_times("a0: ha", "a{0}: '{1}'", "${{a{}}}")
+LISTS = each_nine_times("a0: [ha]", "a{0}: [{1}]", "'${{a{}}}'", ", ")
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (LAUGHS, "line 2 has an alias or an anchor"),
+        ("resume: null\nx: &x {y: 1}\nz: {<<: *x}\n", "line 2 has an alias or an anchor"),
+        (TEXTS, "line 4: more than 16 references"),
+        (LISTS, "line 4: more than 16 references"),
+        ("resume: null\nx: '" + "." * 2000 + "${resume}'\n", "more than 1000 characters"),
+        ("resume: null\nx: " + "[" * 40_000 + "]" * 40_000, "line 2 is 31 levels deep"),
+        ("resume: null\nx: " + "x" * 100_000, "is of more than 100000 bytes"),
+        ("resume: null\nx: " + "9" * 50_000, "is no yaml"),
+        ("resume: null\n\xff", "is no yaml"),
+    ],
+    ids=["aliases", "a merge", "texts", "lists", "a long text", "depth", "size", "a number", "no UTF-8"],
+)
+def test_a_configuration_of_a_run_folder_cannot_swell(tmp_path, content, message):
+    """The first is a billion laughs; each would take minutes and gigabytes, or the stack, to be read as it stands."""
+    (tmp_path / ".hydra").mkdir()
+    (tmp_path / ".hydra" / "config.yaml").write_bytes(content.encode("latin-1"))
+    (tmp_path / "state").touch()
+    tracemalloc.start()
+    began = time.monotonic()
+    with pytest.raises(ValueError, match=message) as refused:
+        config_of(tmp_path, "state")
+    seconds, most = time.monotonic() - began, tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert seconds < 20 and most < 100e6 and "\n" not in str(refused.value)
+
+
+def test_what_hydra_writes_of_every_command_can_be_read_again(tmp_path):
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        for name in sorted(path.stem for path in CONF.glob("*.yaml")):
+            OmegaConf.save(compose(name), tmp_path / "config.yaml")
+            assert read_config(tmp_path / "config.yaml") == OmegaConf.load(tmp_path / "config.yaml")
+
+
+def test_no_configuration_that_is_taken_grows_much(tmp_path):
+    """The worst that is let through: as many references to references as are allowed."""
+    file = tmp_path / "config.yaml"
+    file.write_text(f"a0: {'x' * 60_000}\n" + "".join(f"a{i + 1}: '{f'${{a{i}}}' * 3}'\n" for i in range(5)))
+    began = time.monotonic()
+    longest = max(len(str(value)) for value in OmegaConf.to_container(read_config(file), resolve=True).values())
+    assert longest == 3**5 * 60_000 and time.monotonic() - began < 10
+
+
+@pytest.mark.parametrize("state", ["pickle", "torch", "cut"])
+def test_a_run_whose_state_is_hostile_is_refused_in_one_line(tmp_path, monkeypatch, capsys, state):
+    """Resumed as people do it, with a pickle where the weights should be."""
+    run, trap = tmp_path / "run", tmp_path / "executed"
+    (run / ".hydra").mkdir(parents=True)
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        OmegaConf.save(compose("train", overrides=["+preset=smoke"]), run / ".hydra" / "config.yaml")
+    policy = GaussianPolicy([64, 64], "paddle")
+    league = League(policy)
+    league.add(policy)
+    league.save(run / "league.safetensors")
+    file = run / "state.safetensors"
+    if state == "pickle":
+        file.write_bytes(pickle.dumps(Trap(trap)))
+    elif state == "torch":
+        torch.save({"generation": Trap(trap)}, file)
+    else:
+        file.write_bytes((run / "league.safetensors").read_bytes()[:1000])
+    monkeypatch.setattr(sys, "argv", ["train", f"resume={run}", f"hydra.run.dir={tmp_path}/log"])
+    with pytest.raises(SystemExit) as stopped:
+        train.main()
+    said = capsys.readouterr().err
+    assert stopped.value.code == 2 and said.count("\n") == 1, said
+    assert said.startswith(f"error: {file} is not a safetensors file") and not trap.exists()
+
+
+EVIL = "<script>alert(1)</script>"
+
+
+def trials_of(users: list[str]) -> pd.DataFrame:
+    rng = np.random.default_rng(0)
+    rows = [
+        {"user": user, "condition": name, "position": 1, "seed": 1}
+        | dict(zip(METRICS, rng.uniform(1, 7, len(METRICS)), strict=True))
+        | {f"{weight}_{part}": 0.5 for weight in ("w_unc_optimal", "w_unc_user", "w_sim") for part in ("mean", "sd")}
+        for user in users
+        for name in CONDITIONS
+    ]
+    return pd.DataFrame(rows)
+
+
+def test_the_page_shows_what_users_wrote_and_does_not_run_it(tmp_path):
+    trials = trials_of([EVIL, "=cmd|' /C calc'!A0", "S3", "S4"]).iloc[1:]  # the first has not finished
+    manifest = {"participants": "people", "config": {"participants": 20, "note": EVIL}, EVIL: f'"{EVIL}'}
+    write_report(trials, tmp_path, manifest)
+    page = (tmp_path / "report.html").read_text()
+    assert "<script" not in page and "&lt;script&gt;" in page
+
+
+@pytest.mark.parametrize("text", ["=cmd|' /C calc'!A0", "+1", "-1+1", "@SUM(A1)", "a\tb", "\x1b[2J"])
+def test_a_name_that_a_spreadsheet_would_run_is_refused(tmp_path, text):
+    trials_of(["S1", text]).to_csv(tmp_path / "trials.csv", index=False)
+    with pytest.raises(ValueError, match="must be a name, and begin with none of =") as refused:
+        merge([tmp_path])
+    assert "\n" not in str(refused.value) and "\x1b" not in str(refused.value)

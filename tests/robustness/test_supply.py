@@ -1,0 +1,81 @@
+"""What this project is built on: every distribution pinned exactly, as it is installed, and under a licence we know."""
+
+import re
+from importlib.metadata import PackageNotFoundError, distribution
+
+import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
+from packaging.version import Version
+
+from tests import ROOT
+
+OURS, EXTRAS = "airhockey-haptics", ("bench", "dev", "forcedimension", "lsl")
+LICENCES = ROOT / "LICENCES.md"
+# torch has a build for each kind of machine, all of one version, which pyproject.toml pins; and some bring more
+OF_THE_MACHINE = ("triton", "nvidia-", "cuda-")
+
+
+def pins() -> dict[str, str]:
+    """Version by name, as constraints.txt has them."""
+    lines = [line.strip() for line in (ROOT / "constraints.txt").read_text().splitlines()]
+    return {
+        canonicalize_name(name): version
+        for name, version in (line.split("==") for line in lines if line and not line.startswith("#"))
+    }
+
+
+def installed() -> dict[str, str]:
+    """Version by name of every installed distribution that this project asks for, itself or through another."""
+    found: dict[str, str] = {}
+    todo, seen = [(OURS, frozenset(EXTRAS))], set()
+    while todo:
+        name, extras = todo.pop()
+        if (name, extras) in seen:
+            continue
+        seen.add((name, extras))
+        try:
+            asked = distribution(name)
+        except PackageNotFoundError:  # of an extra, or for another system
+            continue
+        if name != OURS:
+            found[name] = asked.version
+        for requirement in map(Requirement, asked.requires or []):
+            contexts = [{"extra": extra} for extra in ("", *extras)]
+            if requirement.marker is None or any(map(requirement.marker.evaluate, contexts)):
+                todo.append((canonicalize_name(requirement.name), frozenset(requirement.extras)))
+    return found
+
+
+def licensed() -> dict[str, str]:
+    """Licence by name, as LICENCES.md has them."""
+    rows = re.findall(r"^\| ([a-z0-9-]+) \| ([^|]+) \|$", LICENCES.read_text(), re.M)
+    return dict(rows[1:])  # after the heads of the columns
+
+
+@pytest.mark.skipif(not installed(), reason="not installed with pip")
+def test_everything_installed_is_pinned_exactly_at_its_version():
+    found, pinned = installed(), pins()
+    assert len(found) > 60 and {"torch", "numpy", "hydra-core", "omegaconf", "llvmlite"} <= found.keys()
+    unpinned = {name for name in found.keys() - pinned.keys() - {"torch"} if not name.startswith(OF_THE_MACHINE)}
+    assert not unpinned
+    wrong = {
+        name: f"{version}, pinned {pinned[name]}"
+        for name, version in found.items()
+        if name in pinned and Version(version).public != pinned[name]  # a build of torch is torch
+    }
+    assert not wrong
+
+
+def test_torch_is_pinned_by_the_project_itself():
+    dependencies = (ROOT / "pyproject.toml").read_text()
+    assert re.search(r'"torch==\d+\.\d+\.\d+"', dependencies)
+
+
+def test_every_pin_is_one_version_without_room():
+    for name, version in pins().items():
+        assert re.fullmatch(r"\d+(\.\d+)*(\.?(post|rc|a|b)\d+)?", version), f"{name}=={version}"
+
+
+def test_every_pinned_distribution_has_a_licence_on_the_list():
+    assert licensed().keys() == pins().keys() | {"torch"}
