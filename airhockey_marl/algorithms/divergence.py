@@ -13,7 +13,7 @@ LARGEST_KL = 10.0  # nats, of one update; TRPO allows .01, PPO seldom exceeds .1
 DEAD, BLIND = 1e-4, 1 - 1e-4  # mean STD, in (0, 1) by its sigmoid, of which nothing is left to explore, or to learn
 
 
-def require_sound(metrics: Mapping[str, float]) -> None:
+def require_sound_metrics(metrics: Mapping[str, float]) -> None:
     """Refuse what an update measured, if learning cannot go on from there.
 
     Args:
@@ -31,7 +31,7 @@ def require_sound(metrics: Mapping[str, float]) -> None:
         raise FloatingPointError(f"update/std = {std:.4g}: the policy is dead, must be between {DEAD:g} and {BLIND:g}")
 
 
-def require_finite_parts(parts: Mapping[str, nn.Module | Optimizer]) -> None:
+def require_finite_modules(parts: Mapping[str, nn.Module | Optimizer]) -> None:
     """Refuse weights that are no numbers: a metric need not show them, as where an update was skipped.
 
     Raises:
@@ -45,7 +45,7 @@ def require_finite_parts(parts: Mapping[str, nn.Module | Optimizer]) -> None:
 
 
 @contextmanager
-def stopping(what: str, state: Path) -> Iterator[None]:
+def name_divergence(what: str, state: Path) -> Iterator[None]:
     """For a part of a training: a `FloatingPointError` in it says where it was, and what is left.
 
     Args:

@@ -21,14 +21,14 @@ from airhockey_marl.experiment.validation import check_counts, check_numbers, ch
 
 
 @dataclass(frozen=True)
-class PPO:
+class PPOConfig:
     """The settings of PPO.
 
     Attributes:
         clip: how far from 1 the probability ratio of an action may go and still be rewarded.
         epochs, minibatch, lr: passes over each batch, transitions per step of Adam, and its step size.
-        entropy_coefficient: weight of the policy's entropy, in nats, in the objective.
-        critic_coefficient: weight of the critic's squared error.
+        entropy_coef: weight of the policy's entropy, in nats, in the objective.
+        critic_coef: weight of the critic's squared error.
         max_grad_norm: a longer gradient, of policy and critic together, is shortened to this.
         gae_lambda: trade-off between bias (0) and variance (1) of the advantages (Schulman et al. 2016).
         critic: makes the critic, observations (..., 12) to values (..., 1).
@@ -38,27 +38,27 @@ class PPO:
     epochs: int
     minibatch: int
     lr: float
-    entropy_coefficient: float
-    critic_coefficient: float
+    entropy_coef: float
+    critic_coef: float
     max_grad_norm: float
     gae_lambda: float
     critic: Callable[[], nn.Module]
 
     def __post_init__(self) -> None:
         check_counts(**labelled(self, "algorithm", "epochs", "minibatch"))
-        check_numbers(above=0.0, **labelled(self, "algorithm", "lr", "critic_coefficient", "max_grad_norm"))
+        check_numbers(above=0.0, **labelled(self, "algorithm", "lr", "critic_coef", "max_grad_norm"))
         check_numbers(above=0.0, at_most=1.0, **labelled(self, "algorithm", "clip", "gae_lambda"))
-        check_numbers(0.0, **labelled(self, "algorithm", "entropy_coefficient"))
+        check_numbers(0.0, **labelled(self, "algorithm", "entropy_coef"))
 
-    def learner(self, policy: nn.Module, gamma: float) -> "ClippedSurrogate":
+    def learner(self, policy: nn.Module, gamma: float) -> "PPOLearner":
         """Begin to train `policy`, observations to (mean, STD); `gamma` is per decision."""
-        return ClippedSurrogate(self, policy, gamma)
+        return PPOLearner(self, policy, gamma)
 
 
-class ClippedSurrogate:
+class PPOLearner:
     """PPO at work on one policy: advantages, then epochs of minibatches for policy and critic."""
 
-    def __init__(self, settings: PPO, policy: nn.Module, gamma: float) -> None:
+    def __init__(self, settings: PPOConfig, policy: nn.Module, gamma: float) -> None:
         check_numbers(0.0, at_most=1.0, gamma=gamma)
         self.settings, self.policy = settings, policy
         self.critic = settings.critic().to(next(policy.parameters()).device)
@@ -68,9 +68,9 @@ class ClippedSurrogate:
             self.actor,
             TensorDictModule(self.critic, in_keys=["observation"], out_keys=["state_value"]),
             clip_epsilon=settings.clip,
-            entropy_bonus=settings.entropy_coefficient > 0,
-            entropy_coeff=settings.entropy_coefficient,
-            critic_coeff=settings.critic_coefficient,
+            entropy_bonus=settings.entropy_coef > 0,
+            entropy_coeff=settings.entropy_coef,
+            critic_coeff=settings.critic_coef,
             loss_critic_type="l2",
             log_explained_variance=False,
             functional=False,  # nothing else uses these modules meanwhile
@@ -113,7 +113,7 @@ class ClippedSurrogate:
         sum(loss for name, loss in losses.items() if name.startswith("loss_")).backward()
         nn.utils.clip_grad_norm_(self.trained, self.settings.max_grad_norm)
         self.optimizer.step()
-        return losses["loss_critic"].detach() / self.settings.critic_coefficient
+        return losses["loss_critic"].detach() / self.settings.critic_coef
 
 
 def gaussian_actor(policy: nn.Module) -> ProbabilisticActor:

@@ -5,15 +5,15 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, kind_of, labelled
 from airhockey_marl.players.networks import BODY_SCALE
 
-TABLE = Table()
+TABLE = TableSpec()
 
 
 @dataclass(frozen=True)
-class Shaping:
+class RewardShaping:
     """The potential of a state: how promising it is for the player who observes it, in goals.
 
     Attributes:
@@ -57,7 +57,7 @@ class Shaping:
         return gamma * self.potential(following) * ~terminated - self.potential(observation)
 
 
-def fading(generation: int, generations: int) -> float:
+def shaping_strength(generation: int, generations: int) -> float:
     """The strength of shaping in a generation, counted from 1: from 1 to nothing over the first `generations`."""
     check_counts(generation=generation)
     check_counts(0, generations=generations)

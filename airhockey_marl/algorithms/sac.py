@@ -26,11 +26,11 @@ from torchrl.objectives import SACLoss, SoftUpdate, ValueEstimators
 
 from airhockey_marl.algorithms.ppo import gaussian_actor
 from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, check_view, labelled
-from airhockey_marl.players.networks import PADDLE, Inputs, check_hidden, relu_layers
+from airhockey_marl.players.networks import PADDLE, ObservationScaling, check_hidden, mlp_layers
 
 
 @dataclass(frozen=True)
-class SAC:
+class SACConfig:
     """The settings of SAC.
 
     Attributes:
@@ -70,9 +70,9 @@ class SAC:
             )
         check_hidden(self.q_hidden, "algorithm.q_hidden")
 
-    def learner(self, policy: nn.Module, gamma: float) -> "SoftActorCritic":
+    def learner(self, policy: nn.Module, gamma: float) -> "SACLearner":
         """Begin to train `policy`, observations to (mean, STD); `gamma` is per decision."""
-        return SoftActorCritic(self, policy, gamma)
+        return SACLearner(self, policy, gamma)
 
 
 MAX_ENTROPY = 2.0 * 0.5 * math.log(2 * math.pi * math.e)  # nats
@@ -84,8 +84,8 @@ class QNetwork(nn.Module):
     def __init__(self, hidden: Sequence[int]) -> None:
         super().__init__()
         check_hidden(hidden)
-        self.inputs = Inputs(PADDLE)
-        self.layers = nn.Sequential(*relu_layers(14, tuple(hidden)), nn.Linear(hidden[-1], 1))
+        self.inputs = ObservationScaling(PADDLE)
+        self.layers = nn.Sequential(*mlp_layers(14, tuple(hidden)), nn.Linear(hidden[-1], 1))
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """Map observations (..., 12) and actions (..., 2) to values (..., 1)."""
@@ -93,7 +93,7 @@ class QNetwork(nn.Module):
         return self.layers(torch.cat([self.inputs(observation), action.clamp(-1.0, 1.0)], dim=-1))
 
 
-class Memory(nn.Module):
+class ReplayBuffer(nn.Module):
     """The newest transitions, in a ring: a module, so that what it holds is a state dict of tensors.
 
     TorchRL's replay buffers are no modules, and more than tensors is in their state. Here sampling takes torch's global
@@ -147,13 +147,13 @@ class Memory(nn.Module):
         )
 
 
-class SoftActorCritic:
+class SACLearner:
     """SAC at work on one policy."""
 
-    def __init__(self, settings: SAC, policy: nn.Module, gamma: float) -> None:
+    def __init__(self, settings: SACConfig, policy: nn.Module, gamma: float) -> None:
         check_numbers(0.0, at_most=1.0, gamma=gamma)
         device = next(policy.parameters()).device
-        self.settings, self.policy, self.memory = settings, policy, Memory(settings.capacity).to(device)
+        self.settings, self.policy, self.memory = settings, policy, ReplayBuffer(settings.capacity).to(device)
         networks = [
             TensorDictModule(
                 QNetwork(settings.q_hidden).to(device),

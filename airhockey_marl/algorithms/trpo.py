@@ -84,50 +84,50 @@ class FisherVectorProduct:
 
 
 @dataclass(frozen=True)
-class TRPO:
+class TRPOConfig:
     """The settings of TRPO.
 
     Attributes:
         max_kl: radius of the trust region, in nats.
-        cg_steps, damping: of the conjugate gradient.
-        fisher_share: share of the batch's states on which the Fisher matrix is evaluated; it needs fewer than the
+        cg_max_steps, damping: of the conjugate gradient.
+        fisher_subsample: share of the batch's states on which the Fisher matrix is evaluated; it needs fewer than the
             gradient does (Schulman et al. 2015, appendix C).
-        backtracks, shrink: how often, and by how much, a step that fails is shortened.
+        line_search_max_iter, shrink: how often, and by how much, a step that fails is shortened.
         gae_lambda: trade-off between bias (0) and variance (1) of the advantages (Schulman et al. 2016).
         critic: makes the critic, observations (..., 12) to values (..., 1).
-        critic_passes, critic_minibatch, critic_lr: its regression, by Adam, on each batch.
+        critic_epochs, critic_batch_size, critic_lr: its regression, by Adam, on each batch.
     """
 
     max_kl: float
-    cg_steps: int
+    cg_max_steps: int
     damping: float
-    fisher_share: float
-    backtracks: int
-    shrink: float
+    fisher_subsample: float
+    line_search_max_iter: int
+    line_search_shrink: float
     gae_lambda: float
     critic: Callable[[], nn.Module]
-    critic_passes: int
-    critic_minibatch: int
+    critic_epochs: int
+    critic_batch_size: int
     critic_lr: float
 
     def __post_init__(self) -> None:
-        counts = ("cg_steps", "backtracks", "critic_passes", "critic_minibatch")
+        counts = ("cg_max_steps", "line_search_max_iter", "critic_epochs", "critic_batch_size")
         check_counts(**labelled(self, "algorithm", *counts))
         check_numbers(above=0.0, **labelled(self, "algorithm", "max_kl", "shrink", "critic_lr"))
-        check_numbers(above=0.0, at_most=1.0, **labelled(self, "algorithm", "fisher_share", "gae_lambda"))
+        check_numbers(above=0.0, at_most=1.0, **labelled(self, "algorithm", "fisher_subsample", "gae_lambda"))
         check_numbers(0.0, **labelled(self, "algorithm", "damping"))
-        if not self.shrink < 1:
-            raise ValueError(f"algorithm.shrink = {self.shrink} must be between 0 and 1")
+        if not self.line_search_shrink < 1:
+            raise ValueError(f"algorithm.shrink = {self.line_search_shrink} must be between 0 and 1")
 
-    def learner(self, policy: nn.Module, gamma: float) -> "TrustRegion":
+    def learner(self, policy: nn.Module, gamma: float) -> "TRPOLearner":
         """Begin to train `policy`, observations to (mean, STD); `gamma` is per decision."""
-        return TrustRegion(self, policy, gamma)
+        return TRPOLearner(self, policy, gamma)
 
 
-class TrustRegion:
+class TRPOLearner:
     """TRPO at work on one policy: advantages, the policy's step, the critic's regression."""
 
-    def __init__(self, settings: TRPO, policy: nn.Module, gamma: float) -> None:
+    def __init__(self, settings: TRPOConfig, policy: nn.Module, gamma: float) -> None:
         check_numbers(0.0, at_most=1.0, gamma=gamma)
         self.settings, self.policy, self.gamma = settings, policy, gamma
         self.critic = settings.critic().to(next(policy.parameters()).device)
@@ -164,9 +164,9 @@ class TrustRegion:
 
         parts = torch.autograd.grad(surrogate(mean, std), parameters)
         gradient = torch.cat([part.reshape(-1) for part in parts])
-        every = round(1 / settings.fisher_share)
+        every = round(1 / settings.fisher_subsample)
         fisher = FisherVectorProduct(policy, observation[::every], settings.damping)
-        direction = conjugate_gradient(fisher, gradient, settings.cg_steps)
+        direction = conjugate_gradient(fisher, gradient, settings.cg_max_steps)
         curvature = direction.dot(fisher(direction))
         metrics = {"kl": 0.0, "gain": 0.0, "step": 0.0, "std": old_std.mean().item()}
         if not (torch.isfinite(curvature) and curvature > 0):
@@ -175,8 +175,8 @@ class TrustRegion:
         full_step = direction * torch.sqrt(2 * settings.max_kl / curvature)
         start = parameters_to_vector(parameters).detach()
         with torch.no_grad():
-            for attempt in range(settings.backtracks):
-                fraction = settings.shrink**attempt
+            for attempt in range(settings.line_search_max_iter):
+                fraction = settings.line_search_shrink**attempt
                 vector_to_parameters(start + fraction * full_step, parameters)
                 mean, std = policy(observation)
                 gain = surrogate(mean, std).item()  # the surrogate is 0 at the start: advantages have mean 0
@@ -190,8 +190,8 @@ class TrustRegion:
         """Some passes of regression on observations (n, 12) and targets (n, 1); returns the mean loss."""
         check_tensors(observation=(observation, "n k"), target=(target, "n 1"))
         losses = []
-        for _ in range(self.settings.critic_passes):
-            for index in torch.randperm(len(observation)).split(self.settings.critic_minibatch):
+        for _ in range(self.settings.critic_epochs):
+            for index in torch.randperm(len(observation)).split(self.settings.critic_batch_size):
                 loss = nn.functional.mse_loss(self.critic(observation[index]), target[index])
                 self.optimizer.zero_grad()
                 loss.backward()

@@ -15,24 +15,24 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from airhockey_marl.evaluation.comparison import LEAGUE, check_runs, compare, figure, read_run, screen_table
-from airhockey_marl.experiment.command import command, input_errors, require_counts
-from airhockey_marl.experiment.files import found_below, replacing
+from airhockey_marl.experiment.command import command, report_input_errors, require_counts
+from airhockey_marl.experiment.files import atomic_write, find_files
 
 
 @command("compare")
 def main(cfg: DictConfig) -> None:
-    with input_errors():
+    with report_input_errors():
         require_counts(cfg, "rounds", "threads")
         require_counts(cfg, "seed", least=0)
         places = [cfg.runs] if isinstance(cfg.runs, str) else cfg.runs
-        runs = [read_run(file.parent) for file in found_below(places, LEAGUE)]
+        runs = [read_run(file.parent) for file in find_files(places, LEAGUE)]
         check_runs(runs)
     torch.set_num_threads(cfg.threads)
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
     results = compare(runs, cfg.rounds, cfg.seed)
-    with replacing(folder / "comparison.csv") as path:
+    with atomic_write(folder / "comparison.csv") as path:
         results.to_csv(path, index=False)
-    with replacing(folder / "comparison.png") as path:
+    with atomic_write(folder / "comparison.png") as path:
         figure(results).savefig(path, dpi=150)
     print(screen_table(results))
     print(f"\n{folder / 'comparison.csv'}\n{folder / 'comparison.png'}")

@@ -15,26 +15,26 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch.utils.tensorboard import SummaryWriter
 
-from airhockey_marl.evaluation.league_metrics import Effort, check
+from airhockey_marl.evaluation.league_metrics import EvaluationBudget, check
 from airhockey_marl.evaluation.league_report import log_to_tensorboard, summary, write_report
-from airhockey_marl.evaluation.matches import DECISION_TICKS
+from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.evaluation.ratings import read_matches
 from airhockey_marl.experiment.command import (
     InputError,
     ProgressBar,
     command,
-    input_errors,
+    report_input_errors,
     require_counts,
     require_numbers,
 )
-from airhockey_marl.experiment.tensorboard import board_of, introduce
+from airhockey_marl.experiment.tensorboard import log_run_header, tensorboard_dir
 from airhockey_marl.league.league import League
 from airhockey_marl.self_play.best_response import best_response
 
 
 @command("league_report")
 def main(cfg: DictConfig) -> None:
-    with input_errors():
+    with report_input_errors():
         require_counts(cfg, "threads", "every", "rounds", "match_rounds", "save_tables", "std_tables")
         require_counts(cfg, "seed", "exploit_generations", least=0)
         require_numbers(cfg, "std_seconds")
@@ -47,17 +47,17 @@ def main(cfg: DictConfig) -> None:
             raise InputError(f"exploit_generations = {cfg.exploit_generations} needs a finished run: {run} has no card")
     torch.set_num_threads(cfg.threads)
     folder, progress = Path(HydraConfig.get().runtime.output_dir), ProgressBar()
-    effort = Effort(cfg.every, cfg.rounds, cfg.match_rounds, cfg.save_tables, cfg.std_tables, cfg.std_seconds)
+    effort = EvaluationBudget(cfg.every, cfg.rounds, cfg.match_rounds, cfg.save_tables, cfg.std_tables, cfg.std_seconds)
     training = OmegaConf.create(card.get("config", {}))
-    ticks = OmegaConf.select(training, "env.decision_ticks", default=DECISION_TICKS)
+    ticks = OmegaConf.select(training, "env.frame_skip", default=FRAME_SKIP)
     responses = None
     if cfg.exploit_generations:
         how_long = (cfg.exploit_generations, cfg.match_rounds)
         responses = best_response(training, league, len(league) - 1, *how_long, cfg.seed, progress)
     found = write_report(folder, league, matches, card, effort, cfg.seed, responses, ticks, progress)
     progress.close()
-    with SummaryWriter(str(board_of(folder))) as writer:
-        introduce(writer, cfg)
+    with SummaryWriter(str(tensorboard_dir(folder))) as writer:
+        log_run_header(writer, cfg)
         log_to_tensorboard(writer, folder, found, card.get("steps", found.last))
     for line in summary(found):
         print(f"{line.outcome:>4}  {line.question}: {line.observed}")

@@ -22,7 +22,7 @@ import pandas as pd
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import InputError, command
-from airhockey_marl.experiment.run_folder import STATES, Run, read_run, runs_below
+from airhockey_marl.experiment.run_folder import STATES, RunRecord, read_run, runs_below
 from guidance.statistics.groups import UNTESTED
 from guidance.statistics.paper import compare_with_paper
 
@@ -34,7 +34,7 @@ HEADLINES = {
 }
 
 
-def headline(run: Run) -> str:
+def headline(run: RunRecord) -> str:
     """What came of a run that is done, in a few words; "" where nothing is known of it."""
     try:
         if run.command == "evaluate":
@@ -64,7 +64,7 @@ def _at(tree: Mapping[str, Any], dotted: str) -> float:
     return float(tree)
 
 
-def listing(runs: Sequence[Run], outputs: Path) -> str:
+def listing(runs: Sequence[RunRecord], outputs: Path) -> str:
     """The runs as aligned text, oldest first, each with what came of it, or why it failed."""
     rows = [("run", "status", "took", "settings", "")]
     for run in runs:
@@ -93,13 +93,13 @@ def _time(seconds: float | None) -> str:
     )
 
 
-def removable(runs: Sequence[Run]) -> list[Run]:
+def removable(runs: Sequence[RunRecord]) -> list[RunRecord]:
     """Those that failed or were interrupted, cannot be gone on with, and have no other run within their folder."""
     lost = [run for run in runs if run.state in OVER and not run.resumable]
     return [run for run in lost if not any(run.folder in other.folder.parents for other in runs)]
 
 
-def remove(runs: Iterable[Run]) -> list[Run]:
+def remove(runs: Iterable[RunRecord]) -> list[RunRecord]:
     """Remove the folders of runs, but for those that have been taken up again since they were read; which it were."""
     removed = []
     for run in runs:

@@ -18,9 +18,9 @@ import pandas as pd
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.experiment.command import InputError, command, input_errors
-from airhockey_marl.experiment.files import found_below, replacing
-from airhockey_marl.experiment.tensorboard import flat
+from airhockey_marl.experiment.command import InputError, command, report_input_errors
+from airhockey_marl.experiment.files import atomic_write, find_files
+from airhockey_marl.experiment.tensorboard import flatten_settings
 
 CARD = "card.json"
 NOT_SETTINGS = ("resume",)  # they say where a run was written, not what it was
@@ -28,13 +28,13 @@ NOT_SETTINGS = ("resume",)  # they say where a run was written, not what it was
 
 @command("sweep_table")
 def main(cfg: DictConfig) -> None:
-    with input_errors():
+    with report_input_errors():
         cards = read_cards([cfg.runs] if isinstance(cfg.runs, str) else list(cfg.runs))
         rows, varied, scores = tabulate(cards)
         if cfg.by is not None and cfg.by not in scores:
             raise InputError(f"by = {cfg.by} must be one of {', '.join(scores)}")
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
-    with replacing(folder / "grid.csv") as temporary:
+    with atomic_write(folder / "grid.csv") as temporary:
         rows.to_csv(temporary, index=False)
     print(
         over_seeds(rows, varied, scores, cfg.by or scores[0]).to_string(index=False, float_format=lambda x: f"{x:.4g}")
@@ -49,7 +49,7 @@ def read_cards(places: Iterable[str]) -> dict[Path, dict[str, Any]]:
         ValueError: there is none below a place, or one is not a run's card.
     """
     cards = {}
-    for file in found_below(places, CARD):
+    for file in find_files(places, CARD):
         try:
             card = json.loads(file.read_text(encoding="utf-8"))
         except json.JSONDecodeError as error:
@@ -68,7 +68,7 @@ def tabulate(cards: Mapping[Path, Mapping[str, Any]]) -> tuple[pd.DataFrame, lis
     Raises:
         ValueError: the cards have no scores.
     """
-    settings = pd.DataFrame([flat(card["config"]) for card in cards.values()])
+    settings = pd.DataFrame([flatten_settings(card["config"]) for card in cards.values()])
     varied = [name for name in settings if name not in NOT_SETTINGS and settings[name].nunique(dropna=False) > 1]
     tables = [
         {

@@ -25,20 +25,20 @@ from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import (
     InputError,
     command,
-    config_of,
-    input_errors,
+    report_input_errors,
     require_counts,
     require_device,
     require_numbers,
+    resumed_config,
 )
 from airhockey_marl.experiment.files import write_json
-from airhockey_marl.experiment.run_folder import locked
-from airhockey_marl.experiment.tensorboard import conclude
-from airhockey_marl.league.opponent_sampling import Sampler
+from airhockey_marl.experiment.run_folder import lock_run_folder
+from airhockey_marl.experiment.tensorboard import log_final_scores
+from airhockey_marl.league.opponent_sampling import OpponentSampler
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.players.scripted import ANCHORS
-from airhockey_marl.self_play.collectors import Collecting, Crew
-from airhockey_marl.self_play.league_training import JUDGE, STATE, card, train
+from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
+from airhockey_marl.self_play.collectors import CollectorConfig, RolloutWorkers
+from airhockey_marl.self_play.league_training import STATE, STRONGEST_SCRIPT, model_card, train_league
 
 
 def check(cfg: DictConfig) -> None:
@@ -48,7 +48,7 @@ def check(cfg: DictConfig) -> None:
         InputError: names the key, its value and what is allowed.
     """
     counts = ("threads", "generations", "steps_per_generation", "batch")
-    require_counts(cfg, *counts, "env.tables", "env.decision_ticks", "league.opponents")
+    require_counts(cfg, *counts, "env.tables", "env.frame_skip", "league.opponents")
     require_counts(cfg, "league.match_rounds", "league.match_every")
     require_device(cfg)
     require_counts(cfg, "seed", "shaping.generations", "pictures_every", least=0)
@@ -61,35 +61,37 @@ def check(cfg: DictConfig) -> None:
                 f"{whole} = {OmegaConf.select(cfg, whole)} must be a multiple of {part} = {OmegaConf.select(cfg, part)}"
             )
     for name in cfg.league.anchors:
-        if name not in ANCHORS:
-            raise InputError(f"league.anchors: {name!r} must be one of {', '.join(ANCHORS)}")
+        if name not in SCRIPTED_PLAYERS:
+            raise InputError(f"league.anchors: {name!r} must be one of {', '.join(SCRIPTED_PLAYERS)}")
 
 
 @command("train")
 def main(cfg: DictConfig) -> float:
     """Train; for a sweeper, the last generation's share of decided rounds against the strongest script."""
-    with input_errors():
+    with report_input_errors():
         if cfg.resume is not None:
-            cfg = config_of(Path(cfg.resume), STATE, cfg)
+            cfg = resumed_config(Path(cfg.resume), STATE, cfg)
         check(cfg)
         torch.set_num_threads(cfg.threads)
         torch.manual_seed(cfg.seed)
         policy = GaussianPolicy(cfg.hidden, cfg.inputs).to(cfg.device)
         algorithm: Algorithm = build(cfg.algorithm)
-        sampler: Sampler = build(cfg.league.sampler)
+        sampler: OpponentSampler = build(cfg.league.sampler)
         learner = algorithm.learner(policy, cfg.gamma)
-        crew = Crew(Collecting(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)
+        crew = RolloutWorkers(CollectorConfig(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    with closing(crew), locked(folder, "run"):
-        league, seconds = train(cfg, folder, policy, learner, crew, sampler)
+    with closing(crew), lock_run_folder(folder, "run"):
+        league, seconds = train_league(cfg, folder, policy, learner, crew, sampler)
         made_by = " ".join(["python -m airhockey_marl.train", *HydraConfig.get().overrides.task])
-        facts = card(cfg, league)
+        facts = model_card(cfg, league)
         write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **facts})
         scores = facts["win_rate_of_last_against"]
         # the page shows the first five by name until it is asked for others: the scripts come first
-        shown = {f"{'against' if name in ANCHORS else 'generation'}_{name}": rate for name, rate in scores.items()}
-        conclude(folder, cfg, shown, facts["steps"])
-    return scores[JUDGE]
+        shown = {
+            f"{'against' if name in SCRIPTED_PLAYERS else 'generation'}_{name}": rate for name, rate in scores.items()
+        }
+        log_final_scores(folder, cfg, shown, facts["steps"])
+    return scores[STRONGEST_SCRIPT]
 
 
 if __name__ == "__main__":

@@ -9,9 +9,9 @@ Action        float32 (2,) in [-1, 1]: the desired position of the own paddle; 0
               +-1 where the paddle meets the walls, the half-way line or the end (section 3.1 of the paper).
 Reward        +1 for a goal, -1 for a goal conceded, 0 otherwise.
 An episode    is a round: it terminates with a goal, and is truncated after `round_seconds`.
-A step        is one decision: `decision_ticks` ticks of 20 ms, one unless asked for otherwise.
+A step        is one decision: `frame_skip` ticks of 20 ms, one unless asked for otherwise.
 
-`AirHockey` is one table behind PettingZoo's parallel API; `AirHockeyTables` is n tables behind TorchRL's `EnvBase`,
+`AirHockey` is one table behind PettingZoo's parallel API; `AirHockeyEnv` is n tables behind TorchRL's `EnvBase`,
 with the keys that TorchRL's `PettingZooWrapper` gives. Both play on `tables.Tables`, and with the same seeds and
 actions their trajectories are equal bit for bit: table i of a batch seeded with s plays as an `AirHockey` with s + i.
 """
@@ -22,9 +22,9 @@ import numpy as np
 from gymnasium.spaces import Box
 from pettingzoo import ParallelEnv
 
-from airhockey_marl.envs.physics import LEFT, RIGHT, Table
+from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
 from airhockey_marl.envs.rendering import draw_table
-from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, SEATS, Tables, steps_of
+from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, SEATS, World, round_steps
 from airhockey_marl.experiment.validation import kind_of
 
 
@@ -33,8 +33,8 @@ class AirHockey(ParallelEnv):
 
     Args:
         round_seconds: a round is truncated after so long.
-        decision_ticks: ticks for which an action is held.
-        table: sizes and limits; the defaults are those of `Table`.
+        frame_skip: ticks for which an action is held.
+        table: sizes and limits; the defaults are those of `TableSpec`.
         render_mode: `None` or `"rgb_array"`.
     """
 
@@ -43,15 +43,15 @@ class AirHockey(ParallelEnv):
     def __init__(
         self,
         round_seconds: float = 60.0,
-        decision_ticks: int = 1,
-        table: Table | None = None,
+        frame_skip: int = 1,
+        table: TableSpec | None = None,
         render_mode: str | None = None,
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode = {render_mode!r} must be None or 'rgb_array'")
-        self.tables = Tables(1, table)
-        self.decision_ticks = decision_ticks
-        self.max_steps = steps_of(round_seconds, self.tables.table, decision_ticks)
+        self.tables = World(1, table)
+        self.frame_skip = frame_skip
+        self.max_steps = round_steps(round_seconds, self.tables.table, frame_skip)
         self.render_mode = render_mode
         self.possible_agents = list(SEATS)
         self.agents: list[str] = []
@@ -85,7 +85,7 @@ class AirHockey(ParallelEnv):
                 if np.shape(actions.get(seat)) != (ACTION_SIZE,):
                     raise ValueError(f"actions[{seat!r}]: {kind_of(actions.get(seat))}, must be numbers of shape (2,)")
         self._actions[0, LEFT], self._actions[0, RIGHT] = left, right
-        self.tables.step(self._actions, self.decision_ticks)
+        self.tables.step(self._actions, self.frame_skip)
         self._steps += 1
         goal = int(self.tables.goals[0])
         terminated, truncated = goal != 0, goal == 0 and self._steps >= self.max_steps

@@ -4,7 +4,7 @@ Everything is in SI units. The origin is the table's centre, x runs along the ta
 the left of someone sitting at the left seat. A table's state is `bodies`, a float64 array (3, 4): the rows are
 the left paddle, the right paddle and the puck, the columns x, y, vx, vy.
 
-The functions are scalar and compiled with numba; `tables.Tables` calls `tick` for each table of a batch, so the single
+The functions are scalar and compiled with numba; `tables.Tables` calls `step_physics` for each table of a batch, so the single
 game and the batch are the same arithmetic, bit for bit.
 
 A tick is a few sub-steps in which every velocity is constant, so each contact's time is a root of a linear or a
@@ -33,7 +33,7 @@ compiled = njit(cache=True, error_model="numpy")
 inlined = njit(cache=True, error_model="numpy", inline="always")
 
 
-class Table(NamedTuple):
+class TableSpec(NamedTuple):
     """A table and the limits of what moves on it.
 
     Sizes, wall and paddle restitution are those of the Robot Air Hockey Challenge (Liu et al. 2021, 2024), whose
@@ -76,7 +76,7 @@ LARGEST = {
 }
 
 
-def check_table(table: Table) -> Table:
+def check_table(table: TableSpec) -> TableSpec:
     """Return `table` if it can be played on.
 
     Raises:
@@ -102,7 +102,7 @@ def check_table(table: Table) -> Table:
     return table
 
 
-def reach(table: Table) -> tuple[np.ndarray, np.ndarray]:
+def action_range(table: TableSpec) -> tuple[np.ndarray, np.ndarray]:
     """Where the left paddle's centre can be: the middle of its side, and how far it gets from there (x, y), in m.
 
     This is the scale of an action: action 0 is the middle, +-1 are the ends (section 3.1). The right seat has the
@@ -316,14 +316,14 @@ def _advance(bodies, seconds):
 
 
 @compiled
-def tick(bodies, targets, table):
+def step_physics(bodies, targets, table):
     """Move one table by one tick (`table.tick` seconds), in place.
 
     Args:
         bodies: (3, 4) the state, see the module's docstring.
         targets: (2, 2) the places each seat wants its paddle at, in m in the table's frame; a target that is not a
             number means stay.
-        table: the `Table`.
+        table: the `TableSpec`.
 
     Returns:
         goal: +1 if the left seat scored, -1 if the right one did, 0 otherwise. The puck then stays in the goal.

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from PIL import Image, ImageDraw
 
-from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, Table, X, Y
+from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec, X, Y
 from airhockey_marl.experiment.validation import check_arrays, check_counts
 
 # Okabe and Ito's palette: told apart by colour-blind people too.
@@ -23,7 +23,7 @@ class View(NamedTuple):
         width: pixels of the finished picture.
     """
 
-    table: Table
+    table: TableSpec
     width: int
 
     @property
@@ -76,7 +76,7 @@ def draw_bodies(pen: ImageDraw.ImageDraw, view: View, bodies: np.ndarray) -> Non
             pen.ellipse(view.box(bodies[body, X], bodies[body, Y], radius / 2), fill=FELT)
 
 
-def draw_table(bodies: np.ndarray, table: Table, width: int = 640) -> np.ndarray:
+def draw_table(bodies: np.ndarray, table: TableSpec, width: int = 640) -> np.ndarray:
     """Draw one table's `bodies` (3, 4); the left seat is blue, the right one orange.
 
     Returns:

@@ -1,6 +1,6 @@
 """Two-player air hockey as a batch of tables for TorchRL.
 
-`AirHockeyTables` is n tables behind `EnvBase`, with the keys that TorchRL's `PettingZooWrapper` gives; spaces and rules are
+`AirHockeyEnv` is n tables behind `EnvBase`, with the keys that TorchRL's `PettingZooWrapper` gives; spaces and rules are
 those of `pettingzoo_env`, and with the same seeds and actions the trajectories are equal bit for bit.
 """
 
@@ -15,12 +15,12 @@ from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase, PettingZooWrapper, SerialEnv
 
 from airhockey_marl.envs.pettingzoo_env import AirHockey
-from airhockey_marl.envs.physics import Table
-from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, SEATS, Tables, steps_of
+from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, SEATS, World, round_steps
 from airhockey_marl.experiment.validation import check_counts
 
 
-class AirHockeyTables(EnvBase):
+class AirHockeyEnv(EnvBase):
     """n tables stepped together, batch size (n,), with `PettingZooWrapper`'s keys: (seat, "observation") and so on.
 
     Each seat is a group of one agent, hence the dimension of size 1: (n, 1, 12) observations, (n, 1, 2) actions,
@@ -28,7 +28,7 @@ class AirHockeyTables(EnvBase):
 
     Args:
         n: tables.
-        round_seconds, decision_ticks, table: as for `AirHockey`.
+        round_seconds, frame_skip, table: as for `AirHockey`.
         seed: of the serves.
     """
 
@@ -36,16 +36,16 @@ class AirHockeyTables(EnvBase):
         self,
         n: int,
         round_seconds: float = 60.0,
-        decision_ticks: int = 1,
-        table: Table | None = None,
+        frame_skip: int = 1,
+        table: TableSpec | None = None,
         seed: int | None = None,
     ) -> None:
         check_counts(tables=n)
         check_counts(0, seed=0 if seed is None else seed)
         super().__init__(device="cpu", batch_size=[n])
-        self.tables = Tables(n, table)
-        self.decision_ticks = decision_ticks
-        self.max_steps = steps_of(round_seconds, self.tables.table, decision_ticks)
+        self.tables = World(n, table)
+        self.frame_skip = frame_skip
+        self.max_steps = round_steps(round_seconds, self.tables.table, frame_skip)
         self._steps = np.zeros(n, dtype=np.int64)
         self._actions = np.zeros((n, 2, ACTION_SIZE), dtype=np.float32)
 
@@ -77,7 +77,7 @@ class AirHockeyTables(EnvBase):
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         for index, seat in enumerate(SEATS):
             self._actions[:, index] = tensordict[seat, "action"].view(-1, ACTION_SIZE).numpy()
-        self.tables.step(self._actions, self.decision_ticks)
+        self.tables.step(self._actions, self.frame_skip)
         self._steps += 1
         terminated = self.tables.goals != 0
         seen = self._seen(self._flags(terminated, ~terminated & (self._steps >= self.max_steps)))
@@ -100,12 +100,12 @@ class AirHockeyTables(EnvBase):
 
 
 def make_env(
-    backend: str, tables: int, round_seconds: float, decision_ticks: int, seed: int, table: Table | None = None
+    backend: str, tables: int, round_seconds: float, frame_skip: int, seed: int, table: TableSpec | None = None
 ) -> EnvBase:
     """The batch of tables a collector steps.
 
     Args:
-        backend: `"batched"` for `AirHockeyTables`, `"pettingzoo"` for that many `AirHockey` in a `SerialEnv`: the
+        backend: `"batched"` for `AirHockeyEnv`, `"pettingzoo"` for that many `AirHockey` in a `SerialEnv`: the
             same trajectories, slowly, which is what one would use to put another PettingZoo game in this place.
 
     Raises:
@@ -114,25 +114,25 @@ def make_env(
     check_counts(tables=tables)
     check_counts(0, seed=seed)
     if backend == "batched":
-        return AirHockeyTables(tables, round_seconds, decision_ticks, table, seed)
+        return AirHockeyEnv(tables, round_seconds, frame_skip, table, seed)
     if backend == "pettingzoo":
-        games = [partial(_wrapped, round_seconds, decision_ticks, table, seed + i) for i in range(tables)]
+        games = [partial(_wrapped, round_seconds, frame_skip, table, seed + i) for i in range(tables)]
         env = SerialEnv(tables, games)
         env.start()
         return env
     raise ValueError(f"env.backend = {backend!r} must be 'batched' or 'pettingzoo'")
 
 
-def serve_streams(env: EnvBase) -> list[np.ndarray]:
+def serve_rng_states(env: EnvBase) -> list[np.ndarray]:
     """The random numbers of the tables of `make_env`, as views (uint64) to read and to set."""
-    games = [env] if isinstance(env, AirHockeyTables) else [wrapped.unwrapped for wrapped in env._envs]
+    games = [env] if isinstance(env, AirHockeyEnv) else [wrapped.unwrapped for wrapped in env._envs]
     return [game.tables.rng for game in games]
 
 
-def _wrapped(round_seconds: float, decision_ticks: int, table: Table | None, seed: int) -> EnvBase:
+def _wrapped(round_seconds: float, frame_skip: int, table: TableSpec | None, seed: int) -> EnvBase:
     with warnings.catch_warnings():  # TorchRL was tested with PettingZoo 1.24.3; our tests cover the one installed
         warnings.filterwarnings("ignore", message="PettingZoo in TorchRL is tested")
-        game = AirHockey(round_seconds, decision_ticks, table)
+        game = AirHockey(round_seconds, frame_skip, table)
         env = PettingZooWrapper(game, group_map={seat: [seat] for seat in SEATS}, use_mask=False)
     game.tables.seed(seed)  # not set_seed: it would play a serve
     return env

@@ -6,8 +6,21 @@ from numbers import Integral
 import numpy as np
 from numba import njit
 
-from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, VX, VY, Table, X, Y, check_table, clamp, compiled, tick
-from airhockey_marl.experiment.parallel import over_rows
+from airhockey_marl.envs.physics import (
+    LEFT,
+    PUCK,
+    RIGHT,
+    VX,
+    VY,
+    TableSpec,
+    X,
+    Y,
+    check_table,
+    clamp,
+    compiled,
+    step_physics,
+)
+from airhockey_marl.experiment.parallel import parallel_for
 from airhockey_marl.experiment.validation import check_counts, check_numbers, check_rows, kind_of
 
 
@@ -54,7 +67,7 @@ def new_round(bodies, watch, rng, index, table):
 
 @compiled
 def _new_rounds(bodies, watch, rng, which, values):
-    table = Table(*values)
+    table = TableSpec(*values)
     for index in range(len(bodies)):
         if which[index]:
             new_round(bodies[index], watch[index], rng, index, table)
@@ -81,7 +94,7 @@ def referee(bodies, watch, rng, index, table):
 
 @compiled
 def _play_table(index, bodies, watch, rng, actions, ticks, goals, touched, served, values):
-    table = Table(*values)
+    table = TableSpec(*values)
     targets = np.empty((2, 2))
     half_x, half_y = table.length / 4 - table.paddle_radius, table.width / 2 - table.paddle_radius
     for seat in (LEFT, RIGHT):
@@ -90,7 +103,7 @@ def _play_table(index, bodies, watch, rng, actions, ticks, goals, touched, serve
         targets[seat, Y] = turn * (clamp(actions[index, seat, Y], -1.0, 1.0) * half_y)
     goals[index], touched[index], served[index] = 0, 0, False
     for _ in range(ticks):
-        goal, touch = tick(bodies[index], targets, table)
+        goal, touch = step_physics(bodies[index], targets, table)
         touched[index] |= touch
         if goal != 0:
             goals[index] = goal
@@ -122,7 +135,7 @@ def observe(bodies, seat, out):
 WHOLE = (int, np.integer)  # a tuple, made once: what is asked of every step
 
 
-class Tables:
+class World:
     """n tables side by side, each with its own stream of random numbers.
 
     Attributes:
@@ -132,10 +145,10 @@ class Tables:
 
     PARALLEL_FROM = 256  # tables; below, starting the threads costs more than they save
 
-    def __init__(self, n: int, table: Table | None = None) -> None:
+    def __init__(self, n: int, table: TableSpec | None = None) -> None:
         if not isinstance(n, Integral) or isinstance(n, bool) or n < 1:
             raise ValueError(f"tables = {n!r} must be at least 1")
-        self.n, self.table = n, check_table(table or Table())
+        self.n, self.table = n, check_table(table or TableSpec())
         self._values = tuple(self.table)  # numba takes a plain tuple faster than a NamedTuple, by 1.5 us a call
         self._all = np.arange(n)
         self.bodies = np.zeros((n, 3, 4))
@@ -188,7 +201,7 @@ class Tables:
             self.served,
             self._values,
         )
-        over_rows(_play_tables, rows, *arguments, least=self.PARALLEL_FROM // 2)
+        parallel_for(_play_tables, rows, *arguments, least=self.PARALLEL_FROM // 2)
 
     def observe(self, seat: int, out: np.ndarray) -> np.ndarray:
         """Write what `seat` sees into `out` (n, 12) and return it."""
@@ -204,15 +217,15 @@ SEATS = ("left", "right")
 OBSERVATION_SIZE, ACTION_SIZE = 12, 2
 
 
-def steps_of(round_seconds: float, table: Table, decision_ticks: int = 1) -> int:
+def round_steps(round_seconds: float, table: TableSpec, frame_skip: int = 1) -> int:
     """Steps in `round_seconds`.
 
     Raises:
         ValueError: less than one step, or a step of less than a tick.
     """
-    check_counts(decision_ticks=decision_ticks)
+    check_counts(frame_skip=frame_skip)
     check_numbers(round_seconds=round_seconds)
-    steps = round(round_seconds / (decision_ticks * table.tick))
+    steps = round(round_seconds / (frame_skip * table.tick))
     if steps < 1:
-        raise ValueError(f"round_seconds = {round_seconds} must be at least one step ({decision_ticks * table.tick} s)")
+        raise ValueError(f"round_seconds = {round_seconds} must be at least one step ({frame_skip * table.tick} s)")
     return steps

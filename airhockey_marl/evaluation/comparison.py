@@ -21,15 +21,15 @@ from matplotlib.lines import Line2D
 from omegaconf import OmegaConf
 from torch import nn
 
-from airhockey_marl.evaluation.matches import Result, play_matches
+from airhockey_marl.evaluation.matches import MatchResult, play_matches
 from airhockey_marl.experiment.command import ProgressBar
 from airhockey_marl.experiment.config import read_config
 from airhockey_marl.league.league import League
-from airhockey_marl.players.players import sampled
+from airhockey_marl.players.players import stochastic
 
 LEAGUE, CARD, CONFIG = "league.safetensors", "card.json", ".hydra/config.yaml"
 SCRIPTS, BEGINNING = ("defender", "striker"), "generation 0"
-COUNTS = list(Result._fields)
+COUNTS = list(MatchResult._fields)
 TABLES = 100  # side by side in a match, where it has as many rounds
 # Okabe and Ito's colours, which people with any kind of colour vision can tell apart, and marks for those who print
 STYLES = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "D"), ("#E69F00", "v"), ("#56B4E9", "P"))
@@ -43,7 +43,7 @@ class Run:
         algorithm: the name of the class that trained it, such as TRPO.
         steps: of play in which one generation learned.
         seconds: that the training took, as its card has it.
-        decision_ticks: for how many ticks its players hold a decision.
+        frame_skip: for how many ticks its players hold a decision.
     """
 
     folder: Path
@@ -52,7 +52,7 @@ class Run:
     league: League
     steps: int
     seconds: float
-    decision_ticks: int
+    frame_skip: int
 
     @property
     def last(self) -> int:
@@ -74,14 +74,14 @@ def read_run(folder: Path) -> Run:
         cfg = read_config(folder / CONFIG)
     except json.JSONDecodeError as error:
         raise ValueError(f"runs: {folder}: {error}") from error
-    wanted = ("algorithm._target_", "seed", "steps_per_generation", "env.decision_ticks")
+    wanted = ("algorithm._target_", "seed", "steps_per_generation", "env.frame_skip")
     settings = [OmegaConf.select(cfg, key) for key in wanted]
     absent = [key for key, value in zip(wanted, settings, strict=True) if value is None]
     if absent or "seconds" not in card:
         raise ValueError(f"runs: {folder} does not tell {', '.join(absent or ['seconds'])}")
-    target, seed, steps, decision_ticks = settings
+    target, seed, steps, frame_skip = settings
     league = League.load(folder / LEAGUE)
-    return Run(folder, target.rpartition(".")[2], seed, league, steps, card["seconds"], decision_ticks)
+    return Run(folder, target.rpartition(".")[2], seed, league, steps, card["seconds"], frame_skip)
 
 
 def check_runs(runs: Sequence[Run]) -> None:
@@ -93,10 +93,9 @@ def check_runs(runs: Sequence[Run]) -> None:
     for one, other in itertools.combinations(runs, 2):
         if (one.algorithm, one.seed) == (other.algorithm, other.seed):
             raise ValueError(f"runs: {one.algorithm} with seed {one.seed} twice, in {one.folder} and {other.folder}")
-        if one.decision_ticks != other.decision_ticks:
+        if one.frame_skip != other.frame_skip:
             raise ValueError(
-                f"runs: decisions last {one.decision_ticks} ticks in {one.folder}, "
-                f"{other.decision_ticks} in {other.folder}"
+                f"runs: decisions last {one.frame_skip} ticks in {one.folder}, {other.frame_skip} in {other.folder}"
             )
 
 
@@ -123,14 +122,14 @@ def compare(runs: Sequence[Run], rounds: int, seed: int) -> pd.DataFrame:
         generations = sorted({run.last * quarter // 4 for quarter in range(5)})
         matches = list(itertools.product(generations, [*SCRIPTS, 0]))
         left, right = (run.league.lineup(members) for members in zip(*matches, strict=True))
-        scores = play(left, right, len(matches), rounds, seed, run.decision_ticks)
+        scores = play(left, right, len(matches), rounds, seed, run.frame_skip)
         for (generation, opponent), counts in zip(matches, scores, strict=True):
             note(run, generation, opponent or BEGINNING, None, counts)
         progress("against scripts and beginnings", (done + 1) / len(runs))
     pairs = list(itertools.combinations(runs, 2))
     for done, (one, other) in enumerate(pairs):
         left, right = (run.league.player(run.last) for run in (one, other))
-        [(won, lost, undecided)] = play(left, right, 1, rounds, seed, one.decision_ticks)
+        [(won, lost, undecided)] = play(left, right, 1, rounds, seed, one.frame_skip)
         note(one, one.last, other.algorithm, other.seed, (won, lost, undecided))
         note(other, other.last, one.algorithm, one.seed, (lost, won, undecided))
         progress("against each other", (done + 1) / len(pairs))
@@ -138,7 +137,7 @@ def compare(runs: Sequence[Run], rounds: int, seed: int) -> pd.DataFrame:
     return pd.DataFrame(rows).astype({"opponent_seed": "Int64"})
 
 
-def play(left: nn.Module, right: nn.Module, matches: int, rounds: int, seed: int, decision_ticks: int) -> list[Result]:
+def play(left: nn.Module, right: nn.Module, matches: int, rounds: int, seed: int, frame_skip: int) -> list[MatchResult]:
     """Matches side by side, of `rounds` rounds each, between policies that sample their actions.
 
     Args:
@@ -150,8 +149,8 @@ def play(left: nn.Module, right: nn.Module, matches: int, rounds: int, seed: int
     """
     generator = torch.Generator().manual_seed(seed)
     each = -(-rounds // TABLES)
-    players = (sampled(policy, generator) for policy in (left, right))
-    return play_matches(*players, matches, -(-rounds // each), each, seed, decision_ticks=decision_ticks)
+    players = (stochastic(policy, generator) for policy in (left, right))
+    return play_matches(*players, matches, -(-rounds // each), each, seed, frame_skip=frame_skip)
 
 
 def win_rates(results: pd.DataFrame) -> pd.DataFrame:

@@ -14,14 +14,14 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 from PIL import Image
 
 from airhockey_marl.envs.pettingzoo_env import AirHockey
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.rendering import draw_table
 from airhockey_marl.envs.world import SEATS
-from airhockey_marl.evaluation.matches import DECISION_TICKS
+from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.evaluation.policy_std import SITUATIONS
-from airhockey_marl.evaluation.ratings import Share, win_rates
-from airhockey_marl.league.league import League, Member
-from airhockey_marl.players.players import sampled
+from airhockey_marl.evaluation.ratings import Proportion, win_rates
+from airhockey_marl.league.league import League, PlayerId
+from airhockey_marl.players.players import stochastic
 
 # Okabe and Ito's colours, which people with any kind of colour vision can tell apart
 BLUE, ORANGE, GREEN, PINK, GREY, INK = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8C8C8C", "#222222"
@@ -31,12 +31,12 @@ NUMBERS_UP_TO, LABELS_UP_TO = 12, 26  # members, in the cells and along the side
 GENERATIONS_UP_TO = 5  # of those that all were measured against
 
 
-def named(member: Member) -> str:
+def named(member: PlayerId) -> str:
     """How a member is called in running text."""
     return f"“{member}”" if isinstance(member, str) else f"generation {member}"
 
 
-def payoff_figure(members: Sequence[Member], score: np.ndarray) -> Figure:
+def payoff_figure(members: Sequence[PlayerId], score: np.ndarray) -> Figure:
     """The heat map of win rates, rows against columns; blue wins, orange loses, white is even.
 
     Args:
@@ -48,7 +48,9 @@ def payoff_figure(members: Sequence[Member], score: np.ndarray) -> Figure:
     axes = figure.subplots()
     axes.set_facecolor("#E3E3E3")
     image = axes.imshow(shares, cmap=LOSS_TO_WIN, vmin=0, vmax=1)
-    figure.colorbar(image, ax=axes, shrink=0.75, label="share of decided rounds that the row wins", ticks=[0, 0.5, 1])
+    figure.colorbar(
+        image, ax=axes, line_search_shrink=0.75, label="share of decided rounds that the row wins", ticks=[0, 0.5, 1]
+    )
     generations = sum(not isinstance(member, str) for member in members)
     every = -(-generations // LABELS_UP_TO)
     shown = [*range(0, generations - every, max(every, 1)), *range(max(generations - 1, 0), k)]
@@ -165,7 +167,7 @@ def win_rates_figure(matches: pd.DataFrame) -> Figure:
     return figure
 
 
-def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndarray], table: Table) -> Figure:
+def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndarray], table: TableSpec) -> Figure:
     """The mean STD in each situation with its interval, and over the puck's place.
 
     Args:
@@ -198,11 +200,13 @@ def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndar
         axes.tick_params(axis="x", length=0)
         axes.set_yticks([])
         axes.spines[:].set_visible(False)
-    figure.colorbar(image, ax=rest, shrink=0.62, label="mean STD", format=FuncFormatter(lambda std, _: f"{std:.2f}"))
+    figure.colorbar(
+        image, ax=rest, line_search_shrink=0.62, label="mean STD", format=FuncFormatter(lambda std, _: f"{std:.2f}")
+    )
     return figure
 
 
-def best_response_figure(results: Sequence[tuple[int, Share]]) -> Figure:
+def best_response_figure(results: Sequence[tuple[int, Proportion]]) -> Figure:
     """What a best response wins against the last generation, after so many steps of learning."""
     steps, shares = zip(*results, strict=True)
     value, low, high, _ = zip(*shares, strict=True)
@@ -229,23 +233,23 @@ def png(figure: Figure, dpi: int = 150) -> bytes:
 @torch.no_grad()
 def film(
     league: League,
-    members: tuple[Member, Member],
+    members: tuple[PlayerId, PlayerId],
     seed: int,
     seconds: float = 10.0,
     width: int = 320,
-    decision_ticks: int = DECISION_TICKS,
+    frame_skip: int = FRAME_SKIP,
 ) -> bytes:
     """An animated GIF of a match between two members, left and right: round after round, a picture per decision.
 
     Both sample, as in training, with random numbers of their own that follow from the seed.
     """
     left, right = (
-        sampled(league.lineup([member]), torch.Generator().manual_seed(seed + seat))
+        stochastic(league.lineup([member]), torch.Generator().manual_seed(seed + seat))
         for seat, member in enumerate(members)
     )
-    game = AirHockey(decision_ticks=decision_ticks)
+    game = AirHockey(frame_skip=frame_skip)
     seen, _ = game.reset(seed)
-    between = decision_ticks * game.tables.table.tick
+    between = frame_skip * game.tables.table.tick
     players, pictures, palette = dict(zip(SEATS, (left, right), strict=True)), [], None
     for _ in range(max(1, round(seconds / between))):
         picture = Image.fromarray(draw_table(game.tables.bodies[0], game.tables.table, width))

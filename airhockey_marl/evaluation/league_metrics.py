@@ -9,25 +9,25 @@ import numpy as np
 import pandas as pd
 import torch
 
-from airhockey_marl.evaluation.matches import DECISION_TICKS, Result
-from airhockey_marl.evaluation.policy_std import precision, record, smoothness, std_map
+from airhockey_marl.evaluation.matches import FRAME_SKIP, MatchResult
+from airhockey_marl.evaluation.policy_std import record, smoothness, std_by_situation, std_map
 from airhockey_marl.evaluation.ratings import (
     MATCHES,
-    Gain,
-    Misfit,
-    Share,
-    gains,
-    misfit,
+    GoodnessOfFit,
+    Proportion,
+    RatingDifference,
+    bradley_terry,
+    goodness_of_fit,
     payoff,
     play_pairs,
-    rate,
+    rating_differences,
     ratings_of_matches,
     wins_of_matches,
 )
-from airhockey_marl.evaluation.saves import defence
-from airhockey_marl.league.league import League, Member
-from airhockey_marl.players.players import Player, sampled
-from airhockey_marl.players.scripted import ANCHORS
+from airhockey_marl.evaluation.saves import count_saves
+from airhockey_marl.league.league import League, PlayerId
+from airhockey_marl.players.players import Player, stochastic
+from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 
 MILESTONES = (0, 25, 50)  # the last generation is measured against these; in shorter leagues against its quarters
 LATER_THAN, BELOW = 20, 10  # no generation after 20 should be rated below generation 10
@@ -36,7 +36,7 @@ OTHER_ROUNDS = 1_000_000  # between the seeds of the matrix and of the rest
 
 
 @dataclass(frozen=True)
-class Effort:
+class EvaluationBudget:
     """How much is played for a report.
 
     Attributes:
@@ -55,7 +55,7 @@ class Effort:
     std_seconds: float
 
 
-class Fallen(NamedTuple):
+class Regressions(NamedTuple):
     """Generations after `LATER_THAN` rated below `BELOW`.
 
     Attributes:
@@ -63,7 +63,7 @@ class Fallen(NamedTuple):
         of: how many generations after `LATER_THAN` are rated.
     """
 
-    below: dict[int, Gain]
+    below: dict[int, RatingDifference]
     of: int
 
     @property
@@ -73,7 +73,7 @@ class Fallen(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Findings:
+class LeagueMetrics:
     """What was measured. Shares carry 95 % intervals, ratings are in Elo points above generation 0.
 
     Attributes:
@@ -90,28 +90,28 @@ class Findings:
             has met all those after it, the others only references. Unless strength is one number, that makes its
             rating hard to compare.
         saves: save rates of the last generation and of the scripted keeper.
-        std, maps: see `precision.precision` and `precision.std_map`: for a puck that comes, and for one that goes.
+        std, maps: see `std_by_situation.precision` and `std_by_situation.std_map`: for a puck that comes, and for one that goes.
         smoothness: of the last generation and of the strongest anchor, both against the last generation.
         best_response: after so many steps of learning, what it wins against the last generation; None if untried.
     """
 
-    members: list[Member]
+    members: list[PlayerId]
     score: np.ndarray
     ratings: pd.DataFrame
-    misfit: Misfit
+    misfit: GoodnessOfFit
     middle: int
-    growth: Gain
-    above_strongest: Gain
+    growth: RatingDifference
+    above_strongest: RatingDifference
     kept: pd.DataFrame | None
-    against: dict[Member, Share]
+    against: dict[PlayerId, Proportion]
     strongest: str
-    fallen: Fallen
-    kept_fallen: Fallen | None
-    saves: dict[str, Share]
+    fallen: Regressions
+    kept_fallen: Regressions | None
+    saves: dict[str, Proportion]
     std: pd.DataFrame
     maps: tuple[np.ndarray, np.ndarray]
     smoothness: dict[str, dict[str, float]]
-    best_response: list[tuple[int, Share]] | None
+    best_response: list[tuple[int, Proportion]] | None
 
     @property
     def last(self) -> int:
@@ -144,11 +144,11 @@ def milestones(last: int) -> list[int]:
     return list(MILESTONES) if last > MILESTONES[-1] else sorted({0, last // 4, last // 2, 3 * last // 4} - {last})
 
 
-def members_of_matrix(generations: int, every: int) -> list[Member]:
-    """Who is in the payoff matrix of a league of so many generations; see `Effort.every`."""
+def members_of_matrix(generations: int, every: int) -> list[PlayerId]:
+    """Who is in the payoff matrix of a league of so many generations; see `EvaluationBudget.every`."""
     last = generations - 1
     chosen = {*range(0, generations, every), *milestones(last), last, *([BELOW] if last > LATER_THAN else [])}
-    return [*sorted(chosen), *ANCHORS]
+    return [*sorted(chosen), *SCRIPTED_PLAYERS]
 
 
 def check(league: League, matches: pd.DataFrame | None) -> None:
@@ -163,68 +163,68 @@ def check(league: League, matches: pd.DataFrame | None) -> None:
         league.lineup(list({*matches["generation"], *matches["opponent"]}))
 
 
-def measure(
+def evaluate_league(
     league: League,
     matches: pd.DataFrame | None,
-    effort: Effort,
+    effort: EvaluationBudget,
     seed: int,
-    best_response: Sequence[tuple[int, Result]] | None = None,
-    decision_ticks: int = DECISION_TICKS,
+    best_response: Sequence[tuple[int, MatchResult]] | None = None,
+    frame_skip: int = FRAME_SKIP,
     progress: Callable[[str, float], None] | None = None,
-) -> Findings:
+) -> LeagueMetrics:
     """Play all that the report needs; see `write_report`."""
     check(league, matches)
     tell = progress or (lambda phase, share: None)
     last, members = len(league) - 1, members_of_matrix(len(league), effort.every)
-    score = payoff(league, members, effort.rounds, seed, 10, decision_ticks, partial(tell, "payoff matrix"))
+    score = payoff(league, members, effort.rounds, seed, 10, frame_skip, partial(tell, "payoff matrix"))
     wins, place = score[..., 0], {member: i for i, member in enumerate(members)}
-    ratings = pd.DataFrame({"member": pd.Series(members, dtype=object), **rate(wins, 0)._asdict()})
-    strongest = max(ANCHORS, key=lambda name: ratings["rating"][place[name]])
+    ratings = pd.DataFrame({"member": pd.Series(members, dtype=object), **bradley_terry(wins, 0)._asdict()})
+    strongest = max(SCRIPTED_PLAYERS, key=lambda name: ratings["rating"][place[name]])
     middle = min((m for m in members if not isinstance(m, str)), key=lambda m: abs(m - last / 2))
     rivals, other = [*milestones(last), strongest], seed + OTHER_ROUNDS
     pairs = [(last, rival) for rival in rivals]
-    met = play_pairs(league, pairs, effort.match_rounds, other, 50, decision_ticks, partial(tell, "matches"))
+    met = play_pairs(league, pairs, effort.match_rounds, other, 50, frame_skip, partial(tell, "matches"))
     kept = None if matches is None or matches.empty else ratings_of_matches(matches)
 
-    def player(member: Member, stream: int) -> Player:
-        return sampled(league.lineup([member]), torch.Generator().manual_seed(other + stream))
+    def player(member: PlayerId, stream: int) -> Player:
+        return stochastic(league.lineup([member]), torch.Generator().manual_seed(other + stream))
 
     saves, play = {}, {}
     for done, member in enumerate((last, KEEPER)):
         tell("saves", done / 2)
-        counted = defence(player(member, 1), player(ATTACKER, 2), effort.save_tables, other, 30.0, decision_ticks)
-        saves["last" if member == last else member] = Share.of(counted.blocked, sum(counted))
+        counted = count_saves(player(member, 1), player(ATTACKER, 2), effort.save_tables, other, 30.0, frame_skip)
+        saves["last" if member == last else member] = Proportion.of(counted.blocked, sum(counted))
     for done, member in enumerate((last, strongest)):
         tell("STD", done / 2)
         its, where = league.lineup([member]), (effort.std_tables, effort.std_seconds)
-        play[member] = record(its, player(last, 3), *where, other, decision_ticks=decision_ticks)
-    return Findings(
+        play[member] = record(its, player(last, 3), *where, other, frame_skip=frame_skip)
+    return LeagueMetrics(
         members=members,
         score=score,
         ratings=ratings,
-        misfit=misfit(wins, ratings["rating"].to_numpy()),
+        misfit=goodness_of_fit(wins, ratings["rating"].to_numpy()),
         middle=middle,
-        growth=gains(members, wins, middle)[last],
-        above_strongest=gains(members, wins, strongest)[last],
+        growth=rating_differences(members, wins, middle)[last],
+        above_strongest=rating_differences(members, wins, strongest)[last],
         kept=kept,
-        against={rival: Share.of(won, won + lost) for rival, (won, lost, _) in zip(rivals, met, strict=True)},
+        against={rival: Proportion.of(won, won + lost) for rival, (won, lost, _) in zip(rivals, met, strict=True)},
         strongest=strongest,
-        fallen=fallen_of(members, wins),
-        kept_fallen=None if kept is None else fallen_of(*wins_of_matches(matches)),
+        fallen=find_regressions(members, wins),
+        kept_fallen=None if kept is None else find_regressions(*wins_of_matches(matches)),
         saves=saves,
-        std=precision(play[last], other),
+        std=std_by_situation(play[last], other),
         maps=(std_map(play[last], toward=True), std_map(play[last], toward=False)),
         smoothness={"last" if member == last else member: smoothness(games) for member, games in play.items()},
         best_response=best_response
-        and [(steps, Share.of(result.won, result.won + result.lost)) for steps, result in best_response],
+        and [(steps, Proportion.of(result.won, result.won + result.lost)) for steps, result in best_response],
     )
 
 
-def fallen_of(members: Sequence[Member], wins: np.ndarray) -> Fallen:
-    """The `Fallen` by the ratings of these wins; of nobody if `BELOW` is not among the members."""
-    rated = gains(members, wins, BELOW) if BELOW in members else {}
+def find_regressions(members: Sequence[PlayerId], wins: np.ndarray) -> Regressions:
+    """The `Regressions` by the ratings of these wins; of nobody if `BELOW` is not among the members."""
+    rated = rating_differences(members, wins, BELOW) if BELOW in members else {}
     later = {member: gain for member, gain in rated.items() if not isinstance(member, str) and member > LATER_THAN}
-    return Fallen({member: gain for member, gain in later.items() if gain.value < 0}, len(later))
+    return Regressions({member: gain for member, gain in later.items() if gain.value < 0}, len(later))
 
 
 def _plain(value: Any) -> Any:

@@ -13,13 +13,21 @@ import numpy as np
 import pandas as pd
 from torch.utils.tensorboard import SummaryWriter
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.evaluation import figures
-from airhockey_marl.evaluation.league_metrics import ATTACKER, BELOW, KEEPER, LATER_THAN, Effort, Findings, measure
-from airhockey_marl.evaluation.matches import DECISION_TICKS, Result
+from airhockey_marl.evaluation.league_metrics import (
+    ATTACKER,
+    BELOW,
+    KEEPER,
+    LATER_THAN,
+    EvaluationBudget,
+    LeagueMetrics,
+    evaluate_league,
+)
+from airhockey_marl.evaluation.matches import FRAME_SKIP, MatchResult
 from airhockey_marl.evaluation.policy_std import FAR, SAVE_SECONDS, STRIKE_SECONDS
-from airhockey_marl.evaluation.ratings import Gain, Share
-from airhockey_marl.experiment.files import replacing, write_json, write_text
+from airhockey_marl.evaluation.ratings import Proportion, RatingDifference
+from airhockey_marl.experiment.files import atomic_write, write_json, write_text
 from airhockey_marl.experiment.html import number, template
 from airhockey_marl.experiment.tensorboard import add_picture
 from airhockey_marl.league.league import League
@@ -30,12 +38,12 @@ def write_report(
     league: League,
     matches: pd.DataFrame | None,
     card: Mapping[str, Any],
-    effort: Effort,
+    effort: EvaluationBudget,
     seed: int,
-    best_response: Sequence[tuple[int, Result]] | None = None,
-    decision_ticks: int = DECISION_TICKS,
+    best_response: Sequence[tuple[int, MatchResult]] | None = None,
+    frame_skip: int = FRAME_SKIP,
     progress: Callable[[str, float], None] | None = None,
-) -> Findings:
+) -> LeagueMetrics:
     """Measure a league and write league_report.html and .json, payoff.csv, ratings.csv, the figures and match.gif.
 
     Every file is replaced whole; the page holds its style and its pictures and loads nothing. The same arguments give
@@ -47,33 +55,33 @@ def write_report(
         card: what the league says of itself; shown as it is.
         best_response: rounds won against the last generation by somebody who learned nothing but that, after so many
             steps; None if it was not tried.
-        decision_ticks: for which a decision is held, as it was in training.
+        frame_skip: for which a decision is held, as it was in training.
         progress: told the phase and the share of it that is done.
 
     Raises:
         ValueError: see `check`.
     """
     folder = Path(folder)
-    found = measure(league, matches, effort, seed, best_response, decision_ticks, progress)
-    film = figures.film(league, (found.last, found.strongest), seed, decision_ticks=decision_ticks)
+    found = evaluate_league(league, matches, effort, seed, best_response, frame_skip, progress)
+    film = figures.film(league, (found.last, found.strongest), seed, frame_skip=frame_skip)
     pictures = draw(found, matches) | {"match.gif": film}
     for name, content in pictures.items():
-        with replacing(folder / name) as path:
+        with atomic_write(folder / name) as path:
             path.write_bytes(content)
     for name, table in (("payoff.csv", found.payoff_table()), ("ratings.csv", found.ratings_table())):
-        with replacing(folder / name) as path:
+        with atomic_write(folder / name) as path:
             table.to_csv(path, index=False)
     write_json(folder / "league_report.json", {"seed": seed, "effort": asdict(effort), **found.as_dict()})
     write_text(folder / "league_report.html", page(found, pictures, card, effort, seed))
     return found
 
 
-def draw(found: Findings, matches: pd.DataFrame | None) -> dict[str, bytes]:
+def draw(found: LeagueMetrics, matches: pd.DataFrame | None) -> dict[str, bytes]:
     """The figures as PNG, by file name."""
     drawn = {
         "payoff.png": figures.payoff_figure(found.members, found.score),
         "rating.png": figures.rating_figure(found.ratings, found.kept),
-        "precision.png": figures.precision_figure(found.std, found.maps, Table()),
+        "precision.png": figures.precision_figure(found.std, found.maps, TableSpec()),
     }
     if found.kept is not None:
         drawn["matches.png"] = figures.matches_figure(matches)
@@ -82,7 +90,7 @@ def draw(found: Findings, matches: pd.DataFrame | None) -> dict[str, bytes]:
     return {name: figures.png(figure) for name, figure in drawn.items()}
 
 
-def log_to_tensorboard(writer: SummaryWriter, folder: Path | str, found: Findings, step: int) -> None:
+def log_to_tensorboard(writer: SummaryWriter, folder: Path | str, found: LeagueMetrics, step: int) -> None:
     """Log a report that `write_report` has written to `folder`.
 
     rating/generation                             a curve: Elo points of the generations of the matrix, each at the
@@ -121,7 +129,7 @@ class Line(NamedTuple):
     outcome: str
 
 
-def summary(found: Findings) -> list[Line]:
+def summary(found: LeagueMetrics) -> list[Line]:
     """What a league must show, in a few lines."""
     lines = [
         Line(
@@ -158,7 +166,9 @@ def outcome(low: float, high: float, middle: float = 0.0) -> str:
     return "yes" if low > middle else "no" if high < middle else "open"
 
 
-def page(found: Findings, pictures: Mapping[str, bytes], card: Mapping[str, Any], effort: Effort, seed: int) -> str:
+def page(
+    found: LeagueMetrics, pictures: Mapping[str, bytes], card: Mapping[str, Any], effort: EvaluationBudget, seed: int
+) -> str:
     """Fill the template: here what is shown is chosen, there how it looks and what is said of it.
 
     Args:
@@ -167,7 +177,7 @@ def page(found: Findings, pictures: Mapping[str, bytes], card: Mapping[str, Any]
     rated, place = found.ratings.set_index("member"), found.members.index(found.last)
     learned = found.ratings[[not isinstance(member, str) for member in found.members]]
     in_matrix = {
-        member: Share.of(won, won + lost)
+        member: Proportion.of(won, won + lost)
         for member, (won, lost, _) in zip(found.members, found.score[place], strict=True)
         if member != found.last
     }
@@ -182,7 +192,7 @@ def page(found: Findings, pictures: Mapping[str, bytes], card: Mapping[str, Any]
         named=figures.named,
     ).render(
         found=found,
-        last=Gain(*rated.loc[found.last]),
+        last=RatingDifference(*rated.loc[found.last]),
         best=int(learned["member"][learned["rating"].idxmax()]),
         best_rating=float(learned["rating"].max()),
         losing_to=[member for member, share in in_matrix.items() if share.high < 0.5],
@@ -209,7 +219,7 @@ def _percent(value: float, digits: int = 0) -> str:
     return "–" if pd.isna(value) else f"{100 * value:.{digits}f} %"
 
 
-def _share(share: Share) -> str:
+def _share(share: Proportion) -> str:
     """A share as percents with its interval; in tenths if that is narrow."""
     digits = 1 if share.high - share.low < 0.02 else 0
     ends = f"[{100 * share.low:.{digits}f}, {100 * share.high:.{digits}f}]"
@@ -223,7 +233,7 @@ def _against_far(row: Any) -> str:
     return f"STD {number(row.std, 3)} against {far}, a difference of {number(row.difference, 3)} {ends}"
 
 
-def _points(gain: Gain) -> str:
+def _points(gain: RatingDifference) -> str:
     """Elo points above or below something, without a sign, and the interval in the same direction."""
     side, ends = ("above", gain[1:]) if gain.value >= 0 else ("below", (-gain.high, -gain.low))
     return f"{number(abs(gain.value), 0)} [{', '.join(number(end, 0) for end in ends)}] points {side}"

@@ -5,17 +5,17 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from airhockey_marl.envs.physics import LEFT, RIGHT, Table
-from airhockey_marl.envs.world import OBSERVATION_SIZE, Tables, steps_of
+from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
+from airhockey_marl.envs.world import OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.experiment.validation import check_counts
-from airhockey_marl.league.league import Lineup, Member
+from airhockey_marl.league.league import OpponentBatch, PlayerId
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.players.players import Player, answer, sampled
+from airhockey_marl.players.players import Player, answer, stochastic
 
-DECISION_TICKS = 2  # a decision is held for so many ticks, in training (conf/env) and in matches
+FRAME_SKIP = 2  # a decision is held for so many ticks, in training (conf/env) and in matches
 
 
-class Result(NamedTuple):
+class MatchResult(NamedTuple):
     """Rounds won by the left and the right player, and rounds that ran out of time."""
 
     won: int
@@ -36,29 +36,29 @@ def play_rounds(
     rounds: int,
     seed: int,
     round_seconds: float = 30.0,
-    decision_ticks: int = DECISION_TICKS,
-    table: Table | None = None,
+    frame_skip: int = FRAME_SKIP,
+    table: TableSpec | None = None,
 ) -> np.ndarray:
     """Play `rounds` rounds at each of `tables` tables, one after another, each until a goal or for `round_seconds`.
 
     Returns:
-        (tables, 3) int: rounds won by the left player, lost, and undecided, as in `Result`.
+        (tables, 3) int: rounds won by the left player, lost, and undecided, as in `MatchResult`.
 
     Raises:
         ValueError: a number is out of range, or a player answers with something else than actions.
     """
     check_counts(tables=tables, rounds=rounds)
-    games = Tables(tables, table)
+    games = World(tables, table)
     games.seed(seed)
     games.new_rounds()
-    longest = steps_of(round_seconds, games.table, decision_ticks)
+    longest = round_steps(round_seconds, games.table, frame_skip)
     seen = np.empty((2, tables, OBSERVATION_SIZE), dtype=np.float32)
     actions = np.empty((tables, 2, 2), dtype=np.float32)
     score, steps = np.zeros((tables, 3), dtype=np.int64), np.zeros(tables, dtype=np.int64)
     while (score.sum(axis=1) < rounds).any():
         for seat, player in ((LEFT, left), (RIGHT, right)):
             actions[:, seat] = answer(player, games.observe(seat, seen[seat]))
-        games.step(actions, decision_ticks)
+        games.step(actions, frame_skip)
         steps += 1
         over = (games.goals != 0) | (steps >= longest)
         counts = over & (score.sum(axis=1) < rounds)  # a table that has played its rounds plays on unheeded
@@ -70,30 +70,30 @@ def play_rounds(
 
 def play_matches(
     left: Player, right: Player, matches: int, tables: int, rounds: int, seed: int, **options: Any
-) -> list[Result]:
+) -> list[MatchResult]:
     """Play several matches side by side, each at `tables` tables of its own with `rounds` rounds at each of them.
 
     The players know by the table which match it is, as a line-up does; see `play_rounds` for the options.
     """
     check_counts(matches=matches, tables=tables)
     score = play_rounds(left, right, matches * tables, rounds, seed, **options)
-    return [Result(*total) for total in score.reshape(matches, tables, 3).sum(axis=1).tolist()]
+    return [MatchResult(*total) for total in score.reshape(matches, tables, 3).sum(axis=1).tolist()]
 
 
-def play_match(left: Player, right: Player, rounds: int, seed: int, **options: Any) -> Result:
+def play_match(left: Player, right: Player, rounds: int, seed: int, **options: Any) -> MatchResult:
     """Play `rounds` rounds side by side, one per table; see `play_rounds` for the options."""
     check_counts(rounds=rounds)
     (result,) = play_matches(left, right, 1, rounds, 1, seed, **options)
     return result
 
 
-def results_against(
-    player: GaussianPolicy, opponents: Lineup, rounds: int, seed: int, decision_ticks: int
-) -> dict[Member, Result]:
+def play_each(
+    player: GaussianPolicy, opponents: OpponentBatch, rounds: int, seed: int, frame_skip: int
+) -> dict[PlayerId, MatchResult]:
     """A match of one policy against each of a line-up of different members, each side sampling as in training."""
     check_counts(rounds=rounds)
     check_counts(0, seed=seed)
     generator = torch.Generator().manual_seed(seed)
-    left, right = sampled(player, generator), sampled(opponents, generator)
-    results = play_matches(left, right, len(opponents.members), rounds, 1, seed, decision_ticks=decision_ticks)
+    left, right = stochastic(player, generator), stochastic(opponents, generator)
+    results = play_matches(left, right, len(opponents.members), rounds, 1, seed, frame_skip=frame_skip)
     return dict(zip(opponents.members, results, strict=True))

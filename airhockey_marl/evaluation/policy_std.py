@@ -20,9 +20,9 @@ import pandas as pd
 import torch
 from torch import Tensor
 
-from airhockey_marl.envs.physics import LEFT, RIGHT, TOUCHED_BY, Table
-from airhockey_marl.envs.world import OBSERVATION_SIZE, Tables, steps_of
-from airhockey_marl.evaluation.matches import DECISION_TICKS
+from airhockey_marl.envs.physics import LEFT, RIGHT, TOUCHED_BY, TableSpec
+from airhockey_marl.envs.world import OBSERVATION_SIZE, World, round_steps
+from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.experiment.validation import check_arrays, check_counts, check_numbers
 from airhockey_marl.players.players import Player, answer
 
@@ -34,7 +34,7 @@ AT_TOP_SPEED = 0.95  # of the speed limit and above
 
 
 @dataclass(frozen=True)
-class Play:
+class Trajectories:
     """What the left seat of n tables lived through in T decisions, round after round.
 
     Attributes:
@@ -53,7 +53,7 @@ class Play:
     touched: np.ndarray
     ended: np.ndarray
     decision_seconds: float
-    table: Table
+    table: TableSpec
 
 
 @torch.no_grad()
@@ -64,16 +64,16 @@ def record(
     seconds: float,
     seed: int,
     round_seconds: float = 30.0,
-    decision_ticks: int = DECISION_TICKS,
-    table: Table | None = None,
-) -> Play:
+    frame_skip: int = FRAME_SKIP,
+    table: TableSpec | None = None,
+) -> Trajectories:
     """Let a policy play, sampled as in training, and write down what it saw, meant and did for `seconds` per table."""
     check_counts(0, seed=seed)
     check_numbers(above=0.0, seconds=seconds)
-    games, generator = Tables(tables, table), torch.Generator().manual_seed(seed)
+    games, generator = World(tables, table), torch.Generator().manual_seed(seed)
     games.seed(seed)
     games.new_rounds()
-    decisions, longest = (steps_of(time, games.table, decision_ticks) for time in (seconds, round_seconds))
+    decisions, longest = (round_steps(time, games.table, frame_skip) for time in (seconds, round_seconds))
     observation = np.empty((decisions, tables, OBSERVATION_SIZE), dtype=np.float32)
     mean, std, action = np.empty((3, decisions, tables, 2), dtype=np.float32)
     touched, ended = np.empty((2, decisions, tables), dtype=bool)
@@ -85,16 +85,16 @@ def record(
         action[now] = its_mean + its_std * torch.randn(its_mean.shape, generator=generator)
         both[:, LEFT] = action[now]
         both[:, RIGHT] = answer(opponent, games.observe(RIGHT, facing))
-        games.step(both, decision_ticks)
+        games.step(both, frame_skip)
         steps += 1
         over = (games.goals != 0) | (steps >= longest)
         touched[now], ended[now] = games.touched & TOUCHED_BY[LEFT] != 0, over | games.served
         games.new_rounds(over)
         steps[over] = 0
-    return Play(observation, mean, std, action, touched, ended, decision_ticks * games.table.tick, games.table)
+    return Trajectories(observation, mean, std, action, touched, ended, frame_skip * games.table.tick, games.table)
 
 
-def seconds_to_goal(observation: np.ndarray, table: Table) -> np.ndarray:
+def seconds_to_goal(observation: np.ndarray, table: TableSpec) -> np.ndarray:
     """When a puck that nobody touches enters the own goal, from observations (..., 12); inf if it does not.
 
     It goes straight on, without drag, and the side walls turn it back with their restitution.
@@ -116,7 +116,7 @@ def seconds_to_goal(observation: np.ndarray, table: Table) -> np.ndarray:
     return np.where(np.abs(y) < table.goal / 2, time, np.inf)
 
 
-def situations(play: Play) -> np.ndarray:
+def situations(play: Trajectories) -> np.ndarray:
     """(T, n) int: the place in `SITUATIONS` of every decision; see the module's docstring."""
     seen = play.observation
     save = seconds_to_goal(seen, play.table) < SAVE_SECONDS
@@ -130,7 +130,7 @@ def situations(play: Play) -> np.ndarray:
     return np.select([save, strike, away], [SAVE, STRIKE, AWAY], OTHER)
 
 
-def precision(play: Play, seed: int = 0) -> pd.DataFrame:
+def std_by_situation(play: Trajectories, seed: int = 0) -> pd.DataFrame:
     """The mean STD in each situation, with 95 % intervals from a bootstrap over the tables.
 
     Returns:
@@ -168,7 +168,7 @@ def precision(play: Play, seed: int = 0) -> pd.DataFrame:
     )
 
 
-def std_map(play: Play, toward: bool, cells: tuple[int, int] = (30, 16), least: int = 30) -> np.ndarray:
+def std_map(play: Trajectories, toward: bool, cells: tuple[int, int] = (30, 16), least: int = 30) -> np.ndarray:
     """The mean STD by where the puck is, while it comes toward the own goal or goes away from it (or rests).
 
     Returns:
@@ -188,7 +188,7 @@ def std_map(play: Play, toward: bool, cells: tuple[int, int] = (30, 16), least: 
     return np.where(count >= max(least, 1), total / np.maximum(count, 1), np.nan)
 
 
-def smoothness(play: Play) -> dict[str, float]:
+def smoothness(play: Trajectories) -> dict[str, float]:
     """How much successive decisions differ, and how hard the paddle is driven.
 
     Returns:

@@ -17,19 +17,19 @@ import torch
 from scipy import stats
 from scipy.sparse.csgraph import connected_components
 
-from airhockey_marl.evaluation.matches import DECISION_TICKS, play_matches
+from airhockey_marl.evaluation.matches import FRAME_SKIP, play_matches
 from airhockey_marl.experiment.validation import check_arrays, check_counts, check_numbers
-from airhockey_marl.league.league import League, Member
-from airhockey_marl.players.players import sampled
+from airhockey_marl.league.league import League, PlayerId
+from airhockey_marl.players.players import stochastic
 
 ELO = 400 / log(10)  # points per unit of log-odds
-PRIOR_ROUNDS = 1.0  # drawn against a player of no fixed strength; see `rate`
+PRIOR_ROUNDS = 1.0  # drawn against a player of no fixed strength; see `bradley_terry`
 CONFIDENT = stats.norm.isf(0.025)  # half the width of a 95 % interval, in standard errors
 TABLES_AT_ONCE = 250  # more are not faster: from `Tables.PARALLEL_FROM` on they wait for threads
 MATCHES = ("generation", "opponent", "won", "lost", "undecided")  # the columns of matches.csv
 
 
-class Share(NamedTuple):
+class Proportion(NamedTuple):
     """A share of so many trials, with its 95 % interval (Wilson's)."""
 
     value: float
@@ -38,7 +38,7 @@ class Share(NamedTuple):
     trials: int
 
     @classmethod
-    def of(cls, successes: int, trials: int) -> "Share":
+    def of(cls, successes: int, trials: int) -> "Proportion":
         """Not a number, between 0 and 1, if there were no trials."""
         check_counts(0, successes=successes, trials=trials)
         if successes > trials:
@@ -48,7 +48,7 @@ class Share(NamedTuple):
         low, high = stats.binomtest(int(successes), int(trials)).proportion_ci(method="wilson")
         return cls(successes / trials, float(low), float(high), int(trials))
 
-    def minus(self, other: "Share") -> tuple[float, float, float]:
+    def minus(self, other: "Proportion") -> tuple[float, float, float]:
         """The difference of two independent shares and its 95 % interval (Newcombe's hybrid of two Wilson's)."""
         difference = self.value - other.value
         below = np.hypot(self.value - self.low, other.high - other.value)
@@ -64,7 +64,7 @@ class Ratings(NamedTuple):
     high: np.ndarray
 
 
-class Gain(NamedTuple):
+class RatingDifference(NamedTuple):
     """Elo points of one member above another, with the ends of the 95 % interval of that difference."""
 
     value: float
@@ -72,12 +72,12 @@ class Gain(NamedTuple):
     high: float
 
 
-class Misfit(NamedTuple):
+class GoodnessOfFit(NamedTuple):
     """Whether strength is one number: Pearson's chi-squared of the payoff under the ratings, and its p.
 
     Attributes:
         ratio: per degree of freedom. About 1 if the ratings and chance explain who beats whom; more if that goes round
-            in circles, and then the intervals of `rate` are too narrow by about its root. NaN below three members.
+            in circles, and then the intervals of `bradley_terry` are too narrow by about its root. NaN below three members.
         p: of a ratio at least so large if the ratings explain everything.
     """
 
@@ -87,11 +87,11 @@ class Misfit(NamedTuple):
 
 def play_pairs(
     league: League,
-    pairs: Sequence[tuple[Member, Member]],
+    pairs: Sequence[tuple[PlayerId, PlayerId]],
     rounds: int,
     seed: int,
     tables_per_pair: int = 10,
-    decision_ticks: int = DECISION_TICKS,
+    frame_skip: int = FRAME_SKIP,
     progress: Callable[[float], None] | None = None,
 ) -> np.ndarray:
     """Let each pair of members play `rounds` rounds, many pairs side by side, with actions sampled as in training.
@@ -108,7 +108,7 @@ def play_pairs(
     Raises:
         ValueError: no rounds, or a member is not there.
     """
-    check_counts(rounds=rounds, tables_per_pair=tables_per_pair, decision_ticks=decision_ticks)
+    check_counts(rounds=rounds, tables_per_pair=tables_per_pair, frame_skip=frame_skip)
     check_counts(0, seed=seed)
     tables = max(n for n in range(1, tables_per_pair + 1) if rounds % n == 0)
     generator = torch.Generator().manual_seed(seed)
@@ -116,10 +116,10 @@ def play_pairs(
     at_once = max(1, TABLES_AT_ONCE // tables)
     for first in range(0, len(pairs), at_once):
         chunk = pairs[first : first + at_once]
-        left, right = (sampled(league.lineup([pair[seat] for pair in chunk]), generator) for seat in (0, 1))
+        left, right = (stochastic(league.lineup([pair[seat] for pair in chunk]), generator) for seat in (0, 1))
         shared = (len(chunk), tables, rounds // tables)
         score[first : first + len(chunk)] = play_matches(
-            left, right, *shared, seed + first * tables, decision_ticks=decision_ticks
+            left, right, *shared, seed + first * tables, frame_skip=frame_skip
         )
         if progress:
             progress((first + len(chunk)) / len(pairs))
@@ -128,11 +128,11 @@ def play_pairs(
 
 def payoff(
     league: League,
-    members: Sequence[Member],
+    members: Sequence[PlayerId],
     rounds: int,
     seed: int,
     tables_per_pair: int = 10,
-    decision_ticks: int = DECISION_TICKS,
+    frame_skip: int = FRAME_SKIP,
     progress: Callable[[float], None] | None = None,
 ) -> np.ndarray:
     """Every pair of different members plays; see `play_pairs`.
@@ -143,7 +143,7 @@ def payoff(
     rows, columns = np.triu_indices(len(members), 1)
     pairs = [(members[row], members[column]) for row, column in zip(rows, columns, strict=True)]
     score = np.zeros((len(members), len(members), 3), dtype=np.int64)
-    score[rows, columns] = play_pairs(league, pairs, rounds, seed, tables_per_pair, decision_ticks, progress)
+    score[rows, columns] = play_pairs(league, pairs, rounds, seed, tables_per_pair, frame_skip, progress)
     score[columns, rows] = score[rows, columns][:, [1, 0, 2]]
     return score
 
@@ -155,14 +155,14 @@ def win_rates(score: np.ndarray) -> np.ndarray:
     return np.where(decided > 0, score[..., 0] / np.maximum(decided, 1), np.nan)
 
 
-def rate(wins: np.ndarray, reference: int, prior_rounds: float = PRIOR_ROUNDS) -> Ratings:
+def bradley_terry(wins: np.ndarray, reference: int, prior_rounds: float = PRIOR_ROUNDS) -> Ratings:
     """Bradley-Terry ratings: the chance that i wins a round against j is the logistic of the difference of strengths.
 
     Maximum likelihood by iterative Luce spectral ranking (Maystre and Grossglauser 2015), after one more player, whose
     strength is free, has drawn `prior_rounds` rounds with everybody. That half a win and half a defeat keeps the rating
     finite of somebody who won or lost everything, or who has no decided round (the interval says so), treats winners
     and losers alike, and is little beside the hundreds of rounds that are usual here. The intervals are those of the
-    observed information; they hold if strength is one number. `misfit` says whether it is.
+    observed information; they hold if strength is one number. `goodness_of_fit` says whether it is.
 
     Args:
         wins: (k, k) how many rounds the member of the row won against that of the column; not all need to have met.
@@ -198,26 +198,28 @@ def rate(wins: np.ndarray, reference: int, prior_rounds: float = PRIOR_ROUNDS) -
     return Ratings(rating, rating - half, rating + half)
 
 
-def gains(members: Sequence[Member], wins: np.ndarray, over: Member) -> dict[Member, Gain]:
-    """How far everybody is rated above `over`; see `rate`."""
+def rating_differences(
+    members: Sequence[PlayerId], wins: np.ndarray, over: PlayerId
+) -> dict[PlayerId, RatingDifference]:
+    """How far everybody is rated above `over`; see `bradley_terry`."""
     check_arrays(wins=(wins, f"{len(members)} {len(members)}"))
     if over not in members:
         raise ValueError(f"over = {over!r} must be one of {', '.join(map(str, members))}")
-    rated = np.stack(rate(wins, list(members).index(over)), axis=1)
-    return {member: Gain(*row) for member, row in zip(members, rated.tolist(), strict=True)}
+    rated = np.stack(bradley_terry(wins, list(members).index(over)), axis=1)
+    return {member: RatingDifference(*row) for member, row in zip(members, rated.tolist(), strict=True)}
 
 
-def misfit(wins: np.ndarray, rating: np.ndarray) -> Misfit:
-    """How far the win rates are from those that the ratings (k,) foretell; see `Misfit`."""
+def goodness_of_fit(wins: np.ndarray, rating: np.ndarray) -> GoodnessOfFit:
+    """How far the win rates are from those that the ratings (k,) foretell; see `GoodnessOfFit`."""
     check_arrays(wins=(wins, "k k"), rating=(np.asarray(rating), "k"))
     rows, columns = np.triu_indices(len(wins), 1)
     rounds, chance = (wins + wins.T)[rows, columns], _logistic(np.asarray(rating) / ELO)[rows, columns]
     freedom = np.count_nonzero(rounds) - (len(wins) - 1)
     if freedom < 1:
-        return Misfit(float("nan"), float("nan"))
+        return GoodnessOfFit(float("nan"), float("nan"))
     squares = (wins[rows, columns] - rounds * chance) ** 2 / np.maximum(rounds * chance * (1 - chance), 1e-12)
     chi2 = squares[rounds > 0].sum()
-    return Misfit(float(chi2 / freedom), float(stats.chi2.sf(chi2, freedom)))
+    return GoodnessOfFit(float(chi2 / freedom), float(stats.chi2.sf(chi2, freedom)))
 
 
 def _logistic(strength: np.ndarray) -> np.ndarray:
@@ -225,7 +227,7 @@ def _logistic(strength: np.ndarray) -> np.ndarray:
     return 1 / (1 + np.exp(strength[None, :] - strength[:, None]))
 
 
-def ratings_of_matches(matches: pd.DataFrame, reference: Member | None = None) -> pd.DataFrame:
+def ratings_of_matches(matches: pd.DataFrame, reference: PlayerId | None = None) -> pd.DataFrame:
     """Rate everybody who occurs in `matches` (see `MATCHES`), generations and anchors.
 
     Args:
@@ -235,16 +237,16 @@ def ratings_of_matches(matches: pd.DataFrame, reference: Member | None = None) -
         Columns member, rating, low, high: the generations in their order, then the anchors by name.
 
     Raises:
-        ValueError: there are no matches, or not enough to compare everybody; see `rate`.
+        ValueError: there are no matches, or not enough to compare everybody; see `bradley_terry`.
     """
     members, wins = wins_of_matches(matches)
     if not members:
         raise ValueError("no matches to rate")
     place = members.index(members[0] if reference is None else reference)
-    return pd.DataFrame({"member": pd.Series(members, dtype=object), **rate(wins, place)._asdict()})
+    return pd.DataFrame({"member": pd.Series(members, dtype=object), **bradley_terry(wins, place)._asdict()})
 
 
-def wins_of_matches(matches: pd.DataFrame) -> tuple[list[Member], np.ndarray]:
+def wins_of_matches(matches: pd.DataFrame) -> tuple[list[PlayerId], np.ndarray]:
     """Who occurs in `matches`, generations in order before anchors by name, and how many rounds each won, (k, k)."""
     seen = {*matches["generation"], *matches["opponent"]}
     members = [*sorted(int(m) for m in seen if not isinstance(m, str)), *sorted(m for m in seen if isinstance(m, str))]

@@ -14,9 +14,9 @@ import numpy as np
 import torch
 from numba import njit
 
-from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TOUCHED_BY, Table, X, Y, tick
-from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, Tables, steps_of
-from airhockey_marl.evaluation.matches import DECISION_TICKS
+from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TOUCHED_BY, TableSpec, X, Y, step_physics
+from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, World, round_steps
+from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.experiment.validation import check_counts
 from airhockey_marl.players.players import Player, answer
 
@@ -40,7 +40,7 @@ class Saves(NamedTuple):
 def would_score(bodies, empty):
     """Whether the puck of one table, `bodies` (3, 4), ends in the left goal within `FORESIGHT` if nobody touches it.
 
-    `empty` is the `Table` with paddles of radius `NO_PADDLE`. They wait in the corners, where no puck gets.
+    `empty` is the `TableSpec` with paddles of radius `NO_PADDLE`. They wait in the corners, where no puck gets.
     """
     alone = np.zeros((3, 4))
     alone[PUCK] = bodies[PUCK]
@@ -49,7 +49,7 @@ def would_score(bodies, empty):
         alone[seat, Y] = 0.5 * empty.width
     targets = alone[:PUCK, :PUCK].copy()
     for _ in range(round(FORESIGHT / empty.tick)):
-        goal, _ = tick(alone, targets, empty)
+        goal, _ = step_physics(alone, targets, empty)
         if goal != 0:
             return goal < 0
     return False
@@ -62,7 +62,7 @@ def record(under_fire, counts, bodies, goals, touched, served, empty):
     Args:
         under_fire: (n,) bool, a shot is on its way; updated.
         counts: (2,) shots blocked and conceded, of all tables; updated.
-        bodies, goals, touched, served: the `Tables` after the tick.
+        bodies, goals, touched, served: the `World` after the tick.
         empty: see `would_score`.
     """
     for index in range(len(bodies)):
@@ -77,32 +77,32 @@ def record(under_fire, counts, bodies, goals, touched, served, empty):
 
 
 @torch.no_grad()
-def defence(
+def count_saves(
     player: Player,
     attacker: Player,
     rounds: int,
     seed: int,
     round_seconds: float = 30.0,
-    decision_ticks: int = DECISION_TICKS,
-    table: Table | None = None,
+    frame_skip: int = FRAME_SKIP,
+    table: TableSpec | None = None,
 ) -> Saves:
     """Let `player`, on the left, defend against `attacker`, and count.
 
     They play at `rounds` tables for `round_seconds` each; after a goal a table begins a new round. Who is to blame is
-    a matter of single ticks, so the tables are stepped tick by tick, each action held for `decision_ticks`.
+    a matter of single ticks, so the tables are stepped tick by tick, each action held for `frame_skip`.
     """
     check_counts(rounds=rounds)
-    tables = Tables(rounds, table)
+    tables = World(rounds, table)
     tables.seed(seed)
     tables.new_rounds()
     empty = tables.table._replace(paddle_radius=NO_PADDLE)
     under_fire, counts = np.zeros(rounds, dtype=bool), np.zeros(2, dtype=np.int64)
     seen = np.empty((2, rounds, OBSERVATION_SIZE), dtype=np.float32)
     actions = np.empty((rounds, 2, ACTION_SIZE), dtype=np.float32)
-    for _ in range(steps_of(round_seconds, tables.table, decision_ticks)):
+    for _ in range(round_steps(round_seconds, tables.table, frame_skip)):
         for seat, chooser in ((LEFT, player), (RIGHT, attacker)):
             actions[:, seat] = answer(chooser, tables.observe(seat, seen[seat]))
-        for _ in range(decision_ticks):
+        for _ in range(frame_skip):
             tables.step(actions)
             record(under_fire, counts, tables.bodies, tables.goals, tables.touched, tables.served, empty)
             over = tables.goals != 0

@@ -20,10 +20,10 @@ FROM = (
 )  # every class that these define: what people compose
 CLASSES = (
     "airhockey_marl.players.networks.Critic",
-    "airhockey_marl.algorithms.ppo.PPO",
-    "airhockey_marl.algorithms.sac.SAC",
-    "airhockey_marl.algorithms.trpo.TRPO",
-    "guidance.haptics.safety.Limits",
+    "airhockey_marl.algorithms.ppo.PPOConfig",
+    "airhockey_marl.algorithms.sac.SACConfig",
+    "airhockey_marl.algorithms.trpo.TRPOConfig",
+    "guidance.haptics.safety.SafetyLimits",
     "guidance.study.protocol.Protocol",
     "guidance.simulated_users.population.Population",
 )

@@ -22,7 +22,7 @@ from omegaconf.errors import OmegaConfBaseException
 from tqdm import tqdm
 
 from airhockey_marl.experiment.config import read_config
-from airhockey_marl.experiment.files import UNWRITABLE, Unwritten
+from airhockey_marl.experiment.files import UNWRITABLE, WriteError
 
 ROOT = Path(__file__).resolve().parents[2]
 LAUNCHERS = Path(__file__).parent / "launchers"
@@ -77,7 +77,7 @@ def wrong_choice(name: str, arguments: Sequence[str]) -> str | None:
 
 
 @contextmanager
-def input_errors() -> Iterator[None]:
+def report_input_errors() -> Iterator[None]:
     """For the part of a command that checks its input: a `ValueError` in it is the input's fault."""
     try:
         yield
@@ -240,7 +240,7 @@ def require_numbers(
             raise InputError(f"{key} = {value} must be a number {lowest}{highest}")
 
 
-def config_of(run: Path, state: str, now: Mapping[str, Any] = MappingProxyType({})) -> DictConfig:
+def resumed_config(run: Path, state: str, now: Mapping[str, Any] = MappingProxyType({})) -> DictConfig:
     """The configuration of an earlier run, to go on with it.
 
     Args:
@@ -338,7 +338,7 @@ def _trouble(error: Exception) -> str | None:
     """What to say of an error that is neither the input's fault nor a bug: no numbers any more, or a full disk."""
     if isinstance(error, FloatingPointError):
         return str(error)
-    if isinstance(error, OSError) and (isinstance(error, Unwritten) or error.errno in UNWRITABLE):
+    if isinstance(error, OSError) and (isinstance(error, WriteError) or error.errno in UNWRITABLE):
         return str(error.strerror if error.filename is None else f"{error.filename}: {error.strerror}")
     return None
 

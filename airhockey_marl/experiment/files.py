@@ -23,26 +23,26 @@ UNWRITABLE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES
 HASH = "sha256_of_all_this"  # among a file's facts; older files have none
 
 
-class Unwritten(OSError):
+class WriteError(OSError):
     """Something was not written; the message names it, and says what of it is left."""
 
 
 @contextmanager
-def saying(path: Path | str) -> Iterator[None]:
+def name_write_errors(path: Path | str) -> Iterator[None]:
     """For whatever writes `path`: an `OSError` in it names the file, and says that nothing else is lost."""
     try:
         yield
-    except Unwritten:
+    except WriteError:
         raise
     except OSError as error:
         reason = error.strerror or str(error)
-        raise Unwritten(
+        raise WriteError(
             error.errno, f"{path} cannot be written: {reason}. What was saved before is as it was"
         ) from error
 
 
 @contextmanager
-def replacing(path: Path | str) -> Iterator[Path]:
+def atomic_write(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside `path`; when the block ends well, it takes `path`'s place in one rename.
 
     A reader therefore sees the old file or the new one, never half of one. If the block raises, the
@@ -52,7 +52,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
         Unwritten: there is no room or no right to; names `path`.
     """
     path = Path(path)
-    with saying(path):
+    with name_write_errors(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with NamedTemporaryFile(dir=path.parent, prefix=f".{path.name}.", suffix=path.suffix, delete=False) as handle:
             temporary = Path(handle.name)
@@ -66,7 +66,7 @@ def replacing(path: Path | str) -> Iterator[Path]:
             temporary.unlink(missing_ok=True)
 
 
-def settle(folder: Path) -> None:
+def fsync_dir(folder: Path) -> None:
     """Have the folder's names on the disk: without it a power cut may take a rename back."""
     handle = os.open(folder, os.O_RDONLY)
     try:
@@ -77,12 +77,12 @@ def settle(folder: Path) -> None:
 
 def remove(path: Path) -> None:
     """Remove a file, for good; none is fine."""
-    with saying(path):
+    with name_write_errors(path):
         path.unlink(missing_ok=True)
-        settle(path.parent)
+        fsync_dir(path.parent)
 
 
-def clear(folder: Path) -> None:
+def remove_temporary_files(folder: Path) -> None:
     """Remove the temporary files that a crash has left below a folder: what is in them never came to be."""
     for file in folder.rglob(".*"):
         if re.fullmatch(r"\..+\.[a-z0-9_]{8}(\.\w+)?", file.name) and file.is_file():
@@ -91,7 +91,7 @@ def clear(folder: Path) -> None:
 
 def write_text(path: Path | str, text: str) -> None:
     """Write `text` to `path`, whole or not at all."""
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
@@ -100,7 +100,7 @@ def write_json(path: Path | str, content: Any) -> None:
     write_text(path, json.dumps(content, indent=2, default=str) + "\n")
 
 
-def found_below(places: Iterable[Path | str], name: str) -> list[Path]:
+def find_files(places: Iterable[Path | str], name: str) -> list[Path]:
     """Every file of this name at or below the given files, folders or glob patterns, each once.
 
     Raises:
@@ -131,7 +131,7 @@ def save_tensors(path: Path | str, tensors: Mapping[str, torch.Tensor], facts: M
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
     said = dict(facts or {})
     said = json.dumps(said | {HASH: _digest(contiguous, said)})  # one text: of two the library's order is random
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         try:
             save_file(contiguous, temporary, metadata={"facts": said})
         except SafetensorError as error:  # which an OSError is inside the library

@@ -16,7 +16,7 @@ def _pool() -> ThreadPoolExecutor:
     return ThreadPoolExecutor(config.NUMBA_NUM_THREADS, thread_name_prefix="rows")
 
 
-def over_rows(kernel: Callable[..., None], rows: np.ndarray, *arguments: object, least: int) -> None:
+def parallel_for(kernel: Callable[..., None], rows: np.ndarray, *arguments: object, least: int) -> None:
     """Call `kernel(some of the rows, *arguments)` until all rows (n,) have been done, each once.
 
     Args:
@@ -34,10 +34,10 @@ def over_rows(kernel: Callable[..., None], rows: np.ndarray, *arguments: object,
         part.result()
 
 
-HERE = "local"  # a cluster of this machine, for the purpose
+LOCAL_CLUSTER = "local"  # a cluster of this machine, for the purpose
 
 
-def join(address: str, cores: int | None = None) -> None:
+def join_ray_cluster(address: str, cores: int | None = None) -> None:
     """Join a Ray cluster, unless this process has joined one already.
 
     Args:
@@ -47,5 +47,5 @@ def join(address: str, cores: int | None = None) -> None:
     import ray  # an extra
 
     if not ray.is_initialized():
-        where = {"num_cpus": cores} if address == HERE else {"address": address}
+        where = {"num_cpus": cores} if address == LOCAL_CLUSTER else {"address": address}
         ray.init(**where, include_dashboard=False, log_to_driver=False)

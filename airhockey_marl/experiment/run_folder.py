@@ -19,8 +19,8 @@ from hydra.core.utils import JobReturn, JobStatus
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
 
-from airhockey_marl.experiment.command import input_errors
-from airhockey_marl.experiment.files import clear, saying, write_json
+from airhockey_marl.experiment.command import report_input_errors
+from airhockey_marl.experiment.files import name_write_errors, remove_temporary_files, write_json
 
 RECORD = "run.json"
 STATES = ("running", "done", "failed", "interrupted", "unknown")
@@ -28,7 +28,7 @@ GOES_ON_FROM = ("state.safetensors", "batches")  # what a run leaves that can be
 
 
 @dataclass(frozen=True)
-class Run:
+class RunRecord:
     """What run.json says of a run, and where it lies.
 
     Attributes:
@@ -36,7 +36,7 @@ class Run:
         command: the name of its yaml.
         overrides: what was set on the command line.
         status: running, done or failed, as it was written; see `state`.
-        host, pid, birth: of its process, see `birth_of`.
+        host, pid, birth: of its process, see `process_start`.
         started, seconds: Unix time, and how long it took; None while it runs.
         error: why it failed, in one line.
     """
@@ -58,7 +58,7 @@ class Run:
 
         On another machine nobody can tell from here, so it is taken at its word.
         """
-        gone = self.host == socket.gethostname() and birth_of(self.pid) != self.birth
+        gone = self.host == socket.gethostname() and process_start(self.pid) != self.birth
         return "interrupted" if self.status == "running" and gone else self.status
 
     @property
@@ -71,7 +71,7 @@ class Run:
         write_json(self.folder / RECORD, {key: value for key, value in asdict(self).items() if key != "folder"})
 
 
-def birth_of(pid: int) -> str:
+def process_start(pid: int) -> str:
     """When a process began, in a form that no later process of the same number has; "" if there is none.
 
     Where the system does not tell (there is no /proc), all living processes are born "alive".
@@ -92,26 +92,26 @@ def birth_of(pid: int) -> str:
     return "" if fields[0] == "Z" else f"{boot} {fields[19]}"  # clock ticks from the boot to its start
 
 
-def read_run(folder: Path) -> Run:
-    """The run of a folder; of unknown state where its run.json is absent or not what `Run.write` writes."""
+def read_run(folder: Path) -> RunRecord:
+    """The run of a folder; of unknown state where its run.json is absent or not what `RunRecord.write` writes."""
     try:
         facts: Any = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-        run = Run(folder, **facts)
+        run = RunRecord(folder, **facts)
         sound = run.status in STATES and isinstance(run.pid, int) and isinstance(run.overrides, list)
         sound &= isinstance(run.started, int | float) and isinstance(run.seconds, int | float | None)
     except (OSError, ValueError, TypeError):
         sound = False
-    return run if sound else Run(folder, "")
+    return run if sound else RunRecord(folder, "")
 
 
-def runs_below(outputs: Path) -> list[Run]:
+def runs_below(outputs: Path) -> list[RunRecord]:
     """Every run below a folder, by its .hydra/ or its run.json; what links lead to is not looked at."""
     found = []
     for place, folders, files in os.walk(outputs, followlinks=False):
         folder = Path(place)
         if RECORD in files or (".hydra" in folders and (folder / ".hydra" / "config.yaml").is_file()):
             run = read_run(folder)
-            found.append(run if run.command else Run(folder, _command_of(folder)))
+            found.append(run if run.command else RunRecord(folder, _command_of(folder)))
         folders[:] = sorted(name for name in folders if not name.startswith("."))
     return found
 
@@ -131,7 +131,7 @@ def _beginning(file: Path) -> str:
         return ""
 
 
-class Record(Callback):
+class RunRecorder(Callback):
     """Hydra tells it of each job's beginning and end, in the job's own process; it writes run.json.
 
     A run is refused where it would write over another one's files, before Hydra writes its own.
@@ -156,10 +156,10 @@ class Record(Callback):
     def on_job_start(self, config: DictConfig, **_: Any) -> None:
         """Write that the job is running."""
         pid = os.getpid()
-        place = {"host": socket.gethostname(), "pid": pid, "birth": birth_of(pid)}
+        place = {"host": socket.gethostname(), "pid": pid, "birth": process_start(pid)}
         job = config.hydra.job.config_name, list(config.hydra.overrides.task)
         folders = _folders(config) if config.hydra.output_subdir is not None else []
-        self._runs = [Run(folder, *job, "running", **place, started=time.time()) for folder in folders]
+        self._runs = [RunRecord(folder, *job, "running", **place, started=time.time()) for folder in folders]
         for run in self._runs:
             run.write()
 
@@ -169,10 +169,10 @@ class Record(Callback):
         error = " ".join(str(job_return._return_value).split()) if failed else ""
         end = {"status": "failed" if failed else "done", "error": error}
         for run in self._runs:
-            Run(**vars(run) | end | {"seconds": round(time.time() - run.started, 1)}).write()
+            RunRecord(**vars(run) | end | {"seconds": round(time.time() - run.started, 1)}).write()
 
 
-def what_is_lost(folder: Path) -> str | None:
+def files_at_risk(folder: Path) -> str | None:
     """What a run would write over in this folder, in words; None if there is nothing to lose.
 
     A run that failed or was interrupted before it could be resumed has left nothing that anybody could use; and one of
@@ -192,7 +192,7 @@ def what_is_lost(folder: Path) -> str | None:
 
 def _require_free(folder: Path, key: str) -> None:
     """Refuse a folder by the one exception that Hydra lets a callback raise; `cli.command` says it in one line."""
-    if lost := what_is_lost(folder):
+    if lost := files_at_risk(folder):
         print(f"{key}: {folder} holds {lost}; a run must have a folder of its own", file=sys.stderr)
         sys.exit(2)
 
@@ -209,7 +209,7 @@ except ImportError:  # not a POSIX system: there, nobody is kept out
     fcntl = None
 
 
-def take(folder: Path, name: str) -> int:
+def acquire_lock(folder: Path, name: str) -> int:
     """The handle of a folder's lock, which this process now holds; to close it gives the folder free.
 
     Args:
@@ -239,18 +239,18 @@ def take(folder: Path, name: str) -> int:
 
 
 @contextmanager
-def locked(folder: Path, name: str) -> Iterator[None]:
+def lock_run_folder(folder: Path, name: str) -> Iterator[None]:
     """Have a run folder for oneself, without what a killed process has left in it half written.
 
     Raises:
         InputError: another process has it.
         OSError: it cannot be written to; the message names it.
     """
-    with input_errors(), saying(folder):
+    with report_input_errors(), name_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        handle = take(folder, name)
+        handle = acquire_lock(folder, name)
     try:
-        clear(folder)
+        remove_temporary_files(folder)
         yield
     finally:
         os.close(handle)

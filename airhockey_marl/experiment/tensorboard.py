@@ -76,12 +76,12 @@ NOT_SETTINGS = ("resume", "threads", "device", "pictures_every", "_convert_", "_
 SCORES = "scores"  # the folder of what the HPARAMS page shows
 
 
-def flat(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+def flatten_settings(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
     """A tree of settings as dotted names; lists as they are written on the command line."""
     leaves: dict[str, Any] = {}
     for key, value in tree.items():
         if isinstance(value, Mapping):
-            leaves |= flat(value, f"{prefix}{key}.")
+            leaves |= flatten_settings(value, f"{prefix}{key}.")
         else:
             leaves[f"{prefix}{key}"] = json.dumps(value).replace(" ", "") if isinstance(value, list) else value
     return leaves
@@ -99,7 +99,7 @@ def verbatim(text: str) -> str:
     return "".join(f"    {line}\n" for line in text.splitlines())
 
 
-def introduce(writer: SummaryWriter, cfg: DictConfig) -> None:
+def log_run_header(writer: SummaryWriter, cfg: DictConfig) -> None:
     """Log what a run is, once, as it begins: the layout of the CUSTOM SCALARS page, card and names on the TEXT page."""
     writer.add_custom_scalars(LAYOUT)
     tree = OmegaConf.to_container(cfg, resolve=True)
@@ -119,7 +119,7 @@ def add_picture(writer: SummaryWriter, tag: str, content: bytes, step: int) -> N
     writer._get_file_writer().add_summary(Summary(value=[Summary.Value(tag=tag, image=image)]), step)
 
 
-def conclude(folder: Path | str, cfg: DictConfig, scores: Mapping[str, float], step: int = 0) -> None:
+def log_final_scores(folder: Path | str, cfg: DictConfig, scores: Mapping[str, float], step: int = 0) -> None:
     """Log what came of a finished run, as `score/*` and on the HPARAMS page beside all its settings.
 
     What the page shows is left to TensorBoard to gather: the settings of all runs, those that differ first, and every
@@ -133,22 +133,22 @@ def conclude(folder: Path | str, cfg: DictConfig, scores: Mapping[str, float], s
     known = {f"score/{name}": float(value) for name, value in scores.items() if value == value}
     settings = {
         name: value if isinstance(value, bool | int | float | str) else json.dumps(value)
-        for name, value in flat(OmegaConf.to_container(cfg, resolve=True)).items()
+        for name, value in flatten_settings(OmegaConf.to_container(cfg, resolve=True)).items()
         if name.rpartition(".")[2] not in NOT_SETTINGS
     }
-    with open_board(board_of(folder) / SCORES, 0) as writer:  # 0: a run that ends again has its scores once
+    with open_writer(tensorboard_dir(folder) / SCORES, 0) as writer:  # 0: a run that ends again has its scores once
         for summary in hparams(settings, known)[1:]:  # without the description
             writer._get_file_writer().add_summary(summary)
         for name, value in known.items():
             writer.add_scalar(name, value, step)
 
 
-def board_of(folder: Path | str) -> Path:
+def tensorboard_dir(folder: Path | str) -> Path:
     """Where a run's event files lie."""
     return Path(folder) / "tensorboard"
 
 
-def open_board(folder: Path, purge_step: int) -> SummaryWriter:
+def open_writer(folder: Path, purge_step: int) -> SummaryWriter:
     """Go on writing scalars; what was logged from `purge_step` on, by a run that was killed, is struck out.
 
     TensorBoard reads files in the order of the seconds in their names, and strikes out of what it has read before.

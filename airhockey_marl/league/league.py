@@ -14,9 +14,9 @@ from torch import Tensor, nn
 from airhockey_marl.experiment.files import load_tensors, save_tensors
 from airhockey_marl.experiment.validation import check_counts, check_tensors
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.players.scripted import ANCHORS
+from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 
-Member = int | str  # of a pool: a generation's number or an anchor's name
+PlayerId = int | str  # of a pool: a generation's number or an anchor's name
 
 
 class League:
@@ -64,18 +64,18 @@ class League:
         policy.load_state_dict(self.generation(index).flatten_keys(".").to_dict())
         return policy
 
-    def lineup(self, members: Sequence[Member]) -> "Lineup":
+    def lineup(self, members: Sequence[PlayerId]) -> "OpponentBatch":
         """Seat these members together, each at as many tables as any other.
 
         Raises:
             ValueError: one of them is neither a generation of this league nor an anchor.
         """
-        unknown = [member for member in members if isinstance(member, str) and member not in ANCHORS]
+        unknown = [member for member in members if isinstance(member, str) and member not in SCRIPTED_PLAYERS]
         if unknown:
-            raise ValueError(f"anchor = {unknown[0]!r} must be one of {', '.join(ANCHORS)}")
+            raise ValueError(f"anchor = {unknown[0]!r} must be one of {', '.join(SCRIPTED_PLAYERS)}")
         generations = [self.generation(member) for member in members if not isinstance(member, str)]
         weights = torch.stack(generations).flatten_keys(".").contiguous().to_dict() if generations else None
-        return Lineup(self.policy, weights, members)
+        return OpponentBatch(self.policy, weights, members)
 
     def stacked(self) -> dict[str, Tensor]:
         """All weights by name, (generations, ...) each: what a league's file holds."""
@@ -159,7 +159,7 @@ def weights_hash(weights: TensorDict) -> str:
     return digest.hexdigest()
 
 
-class Lineup(nn.Module):
+class OpponentBatch(nn.Module):
     """k members that share n tables, n / k each: the generations in one batched forward pass, the anchors by script.
 
     Args:
@@ -169,13 +169,17 @@ class Lineup(nn.Module):
         members: (k,) who they are; table i is the seat of `members[i * k // n]`.
     """
 
-    def __init__(self, policy: GaussianPolicy, weights: Mapping[str, Tensor] | None, members: Sequence[Member]) -> None:
+    def __init__(
+        self, policy: GaussianPolicy, weights: Mapping[str, Tensor] | None, members: Sequence[PlayerId]
+    ) -> None:
         super().__init__()
         self.policy, self.weights, self.members = policy, weights, list(members)
-        self.scripted = {place: ANCHORS[member] for place, member in enumerate(members) if isinstance(member, str)}
+        self.scripted = {
+            place: SCRIPTED_PLAYERS[member] for place, member in enumerate(members) if isinstance(member, str)
+        }
         self.learned = [place for place in range(len(members)) if place not in self.scripted]
 
-    def part(self, first: int, last: int, of: int) -> "Lineup":
+    def part(self, first: int, last: int, of: int) -> "OpponentBatch":
         """The line-up that sits at tables `first` to before `last`, where this one sits at `of` tables.
 
         A member of whose tables only some are among them is there with these; one with many may be named repeatedly.
@@ -194,7 +198,7 @@ class Lineup(nn.Module):
         row_of = {place: row for row, place in enumerate(self.learned)}
         rows = [row_of[place] for place in places if place in row_of]
         weights = {name: tensor[rows] for name, tensor in self.weights.items()} if rows else None
-        return Lineup(self.policy, weights, [self.members[place] for place in places])
+        return OpponentBatch(self.policy, weights, [self.members[place] for place in places])
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""
@@ -206,11 +210,11 @@ class Lineup(nn.Module):
         shape = (*observation.shape[:-1], -1)
         shared = observation.reshape(len(self.members), -1, observation.shape[-1])
         if not self.scripted:
-            mean, std = self.policy.forward_each(self.weights, shared)
+            mean, std = self.policy.forward_stacked(self.weights, shared)
         else:
             mean, std = shared.new_empty((2, *shared.shape[:-1], 2))
             if self.learned:
-                mean[self.learned], std[self.learned] = self.policy.forward_each(self.weights, shared[self.learned])
+                mean[self.learned], std[self.learned] = self.policy.forward_stacked(self.weights, shared[self.learned])
             for place, anchor in self.scripted.items():
                 mean[place], std[place] = anchor(shared[place])
         return mean.reshape(shape), std.reshape(shape)

@@ -12,7 +12,7 @@ import numpy as np
 from airhockey_marl.experiment.validation import check_counts, check_numbers
 
 
-class Standing(NamedTuple):
+class PoolStatistics(NamedTuple):
     """The pool as a learner finds it: the generations, oldest first, then the anchors.
 
     Attributes:
@@ -26,17 +26,17 @@ class Standing(NamedTuple):
     win_rates: np.ndarray
 
 
-class Sampler(Protocol):
+class OpponentSampler(Protocol):
     """Gives each member of a pool its chance (generations + anchors,); the chances sum to 1."""
 
-    def chances(self, standing: Standing) -> np.ndarray: ...
+    def probabilities(self, standing: PoolStatistics) -> np.ndarray: ...
 
 
 @dataclass(frozen=True)
 class Latest:
     """Always the newest generation."""
 
-    def chances(self, standing: Standing) -> np.ndarray:
+    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
         return np.eye(len(standing.win_rates))[standing.generations - 1]
 
 
@@ -54,7 +54,7 @@ class DeltaUniform:
         if not self.delta < 1:
             raise ValueError(f"delta = {self.delta} must be at least 0 and below 1")
 
-    def chances(self, standing: Standing) -> np.ndarray:
+    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
         generations = standing.generations
         oldest = min(int(self.delta * generations), generations - 1)
         chances = np.zeros(len(standing.win_rates))
@@ -63,17 +63,17 @@ class DeltaUniform:
 
 
 @dataclass(frozen=True)
-class Anchors:
+class ScriptedOnly:
     """Uniform over the scripted anchors."""
 
-    def chances(self, standing: Standing) -> np.ndarray:
+    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
         if not standing.anchors:
             raise ValueError("league.anchors = [] must name at least one anchor for a sampler of anchors")
         return (np.arange(len(standing.win_rates)) >= standing.generations) / standing.anchors
 
 
 @dataclass(frozen=True)
-class Prioritized:
+class PFSP:
     """Prioritized fictitious self-play (Vinyals et al. 2019): by how interesting a member is, from its win rate x.
 
     Attributes:
@@ -88,7 +88,7 @@ class Prioritized:
         if self.weighting not in self.WEIGHTS:
             raise ValueError(f"weighting = {self.weighting!r} must be one of {', '.join(self.WEIGHTS)}")
 
-    def chances(self, standing: Standing) -> np.ndarray:
+    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
         weights = self.WEIGHTS[self.weighting](standing.win_rates) + 1e-6  # nobody is ever out of the question
         return weights / weights.sum()
 
@@ -101,16 +101,16 @@ class Mixture:
         samplers, shares: as many of the one as of the other; shares need not sum to 1.
     """
 
-    samplers: Sequence[Sampler]
+    samplers: Sequence[OpponentSampler]
     shares: Sequence[float]
 
     def __post_init__(self) -> None:
         if len(self.samplers) != len(self.shares) or not self.shares or not all(share > 0 for share in self.shares):
             raise ValueError(f"shares = {list(self.shares)} must be {len(self.samplers)} numbers above 0")
 
-    def chances(self, standing: Standing) -> np.ndarray:
+    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
         weighted = [
-            share * sampler.chances(standing) for sampler, share in zip(self.samplers, self.shares, strict=True)
+            share * sampler.probabilities(standing) for sampler, share in zip(self.samplers, self.shares, strict=True)
         ]
         return sum(weighted) / sum(self.shares)
 
@@ -123,12 +123,12 @@ class Curriculum:
         generation: the number of generations from which `then` has its say.
     """
 
-    first: Sampler
-    then: Sampler
+    first: OpponentSampler
+    then: OpponentSampler
     generation: int
 
     def __post_init__(self) -> None:
         check_counts(0, generation=self.generation)
 
-    def chances(self, standing: Standing) -> np.ndarray:
-        return (self.first if standing.generations < self.generation else self.then).chances(standing)
+    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
+        return (self.first if standing.generations < self.generation else self.then).probabilities(standing)

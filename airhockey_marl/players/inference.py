@@ -15,7 +15,7 @@ import torch
 from numba import float32, njit
 from torch import Tensor, nn
 
-from airhockey_marl.experiment.parallel import over_rows
+from airhockey_marl.experiment.parallel import parallel_for
 from airhockey_marl.experiment.validation import CPU, check_rows, check_tensors, kind_of
 from airhockey_marl.players.networks import PADDLE, GaussianPolicy
 from airhockey_marl.players.players import Player
@@ -99,7 +99,7 @@ def _check_asked(observation: np.ndarray, which: np.ndarray | None, models: int)
             raise ValueError(f"which: of {len(which)} rows, must be of {len(observation)} as observation")
 
 
-class RowByRow:
+class PerRowInference:
     """One or several models of an architecture, for rows that each ask one of them.
 
     Args:
@@ -122,7 +122,7 @@ class RowByRow:
         rows = np.arange(n) if which is None else np.argsort(which, kind="stable")
         which = np.zeros(n, dtype=np.int64) if which is None else which
         mean, std = np.empty((n, 2), dtype=np.float32), np.empty((n, 2), dtype=np.float32)
-        over_rows(
+        parallel_for(
             _answers,
             rows,
             self._weights,
@@ -138,8 +138,8 @@ class RowByRow:
         return mean, std
 
 
-class AllAtOnce:
-    """As `RowByRow`, but in one batched product per layer, on any device."""
+class BatchedInference:
+    """As `PerRowInference`, but in one batched product per layer, on any device."""
 
     def __init__(
         self, policy: GaussianPolicy, weights: Mapping[str, Tensor] | None = None, device: str = "cpu"
@@ -157,18 +157,18 @@ class AllAtOnce:
         else:
             models, asked = torch.from_numpy(which).to(self._device), asked[:, None]
         weights = {name: tensor[models] for name, tensor in self._weights.items()}
-        mean, std = (part.flatten(0, 1).cpu() for part in self._policy.forward_each(weights, asked))
+        mean, std = (part.flatten(0, 1).cpu() for part in self._policy.forward_stacked(weights, asked))
         return mean.numpy(), std.numpy()
 
 
-def rows_of(
+def make_inference(
     policy: GaussianPolicy, weights: Mapping[str, Tensor] | None = None, device: str = "cpu"
-) -> RowByRow | AllAtOnce:
-    """The models to ask, see `RowByRow`: row by row on a CPU, all at once on any other device."""
-    return RowByRow(policy, weights) if device == "cpu" else AllAtOnce(policy, weights, device)
+) -> PerRowInference | BatchedInference:
+    """The models to ask, see `PerRowInference`: row by row on a CPU, all at once on any other device."""
+    return PerRowInference(policy, weights) if device == "cpu" else BatchedInference(policy, weights, device)
 
 
-def steady(policy: GaussianPolicy, device: str = "cpu") -> Player:
-    """The player that always takes a policy's mean action, as `match.confident`, but asked by `rows_of`."""
-    rows = rows_of(policy, device=device)
+def greedy_player(policy: GaussianPolicy, device: str = "cpu") -> Player:
+    """The player that always takes a policy's mean action, as `match.confident`, but asked by `make_inference`."""
+    rows = make_inference(policy, device=device)
     return lambda observation: torch.from_numpy(rows(observation.numpy())[0])

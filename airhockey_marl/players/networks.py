@@ -21,7 +21,7 @@ STROKE = 0.3  # m, the scale of the puck's place as seen from the paddle: a stro
 TABLE, PADDLE = "table", "paddle"  # where the puck's place is measured from
 
 
-class Inputs(nn.Module):
+class ObservationScaling(nn.Module):
     """Observations (..., 12) as a network takes them: an invertible linear map to 12 numbers of about 1.
 
     Args:
@@ -68,15 +68,15 @@ class GaussianPolicy(nn.Module):
 
     Args:
         hidden: sizes of the hidden layers.
-        inputs: where the puck's place is measured from, see `Inputs`.
+        inputs: where the puck's place is measured from, see `ObservationScaling`.
     """
 
     def __init__(self, hidden: Sequence[int] = OPTIMAL_ACTION_HIDDEN, inputs: str = TABLE) -> None:
         super().__init__()
         check_hidden(hidden)
         self.hidden = tuple(hidden)
-        self.inputs = Inputs(inputs)
-        self.layers = nn.Sequential(*relu_layers(12, self.hidden))
+        self.inputs = ObservationScaling(inputs)
+        self.layers = nn.Sequential(*mlp_layers(12, self.hidden))
         self.head = nn.Linear(self.hidden[-1], 4)
         with torch.no_grad():  # begin near the middle of one's side, with a STD of sigmoid(0) = 0.5
             self.head.weight *= 0.1
@@ -104,7 +104,7 @@ class GaussianPolicy(nn.Module):
         mean, spread = self.head(self.layers(self.inputs(observation))).chunk(2, dim=-1)
         return mean, torch.sigmoid(spread)
 
-    def forward_each(self, weights: Mapping[str, Tensor], observation: Tensor) -> tuple[Tensor, Tensor]:
+    def forward_stacked(self, weights: Mapping[str, Tensor], observation: Tensor) -> tuple[Tensor, Tensor]:
         """k models of this architecture at once, in one batched product per layer.
 
         Args:
@@ -133,15 +133,15 @@ class Critic(nn.Module):
     def __init__(self, hidden: Sequence[int] = (64, 64), inputs: str = PADDLE) -> None:
         super().__init__()
         check_hidden(hidden)
-        self.inputs = Inputs(inputs)
-        self.layers = nn.Sequential(*relu_layers(12, tuple(hidden), nn.Tanh), nn.Linear(hidden[-1], 1))
+        self.inputs = ObservationScaling(inputs)
+        self.layers = nn.Sequential(*mlp_layers(12, tuple(hidden), nn.Tanh), nn.Linear(hidden[-1], 1))
 
     def forward(self, observation: Tensor) -> Tensor:
         """Map observations (..., 12) to values (..., 1)."""
         return self.layers(self.inputs(observation))
 
 
-def relu_layers(inputs: int, hidden: Sequence[int], activation: type[nn.Module] = nn.ReLU) -> list[nn.Module]:
+def mlp_layers(inputs: int, hidden: Sequence[int], activation: type[nn.Module] = nn.ReLU) -> list[nn.Module]:
     """Fully connected layers of the sizes `hidden`, each followed by its activation.
 
     They begin orthogonal, at a scale that keeps activations about as large as the inputs, which on-policy learning

@@ -11,12 +11,12 @@ from airhockey_marl.experiment.validation import CPU, check_tensors
 Player = Callable[[Tensor], Tensor]  # observations (n, 12) -> actions (n, 2)
 
 
-def confident(policy: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Player:
+def greedy(policy: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Player:
     """The player that always takes a policy's mean action."""
     return lambda observation: policy(observation)[0]
 
 
-def sampled(policy: Callable[[Tensor], tuple[Tensor, Tensor]], generator: torch.Generator) -> Player:
+def stochastic(policy: Callable[[Tensor], tuple[Tensor, Tensor]], generator: torch.Generator) -> Player:
     """The player that samples from a policy, as in training."""
 
     def play(observation: Tensor) -> Tensor:

@@ -19,7 +19,7 @@ import torch
 from numba import njit
 from torch import Tensor
 
-from airhockey_marl.envs.physics import Table, clamp
+from airhockey_marl.envs.physics import TableSpec, clamp
 from airhockey_marl.experiment.validation import CPU, check_tensors
 
 UNTRAINED = 0.5  # STD of `random`: sigmoid(0), with which `policy.GaussianPolicy` begins
@@ -241,18 +241,18 @@ def _attack(seen, actions, table):
 
 
 @dataclass(frozen=True)
-class Anchor:
+class ScriptedPlayer:
     """A script that can be asked like a policy.
 
     Attributes:
-        script: writes the actions (n, 2) for observations (n, 12), both float64, at a `Table`.
+        script: writes the actions (n, 2) for observations (n, 12), both float64, at a `TableSpec`.
         std: of the action.
         table: the table it plays on.
     """
 
-    script: Callable[[np.ndarray, np.ndarray, Table], None]
+    script: Callable[[np.ndarray, np.ndarray, TableSpec], None]
     std: float
-    table: Table = field(default_factory=Table)
+    table: TableSpec = field(default_factory=TableSpec)
 
     def __call__(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (..., 12) to mean (..., 2), in [-1, 1], and STD (..., 2)."""
@@ -264,8 +264,8 @@ class Anchor:
         return mean, torch.full_like(mean, self.std)
 
 
-ANCHORS = {
-    "random": Anchor(_rest, UNTRAINED),
-    "defender": Anchor(_defend, STEADY),
-    "striker": Anchor(_attack, STEADY),
+SCRIPTED_PLAYERS = {
+    "random": ScriptedPlayer(_rest, UNTRAINED),
+    "defender": ScriptedPlayer(_defend, STEADY),
+    "striker": ScriptedPlayer(_attack, STEADY),
 }

@@ -9,25 +9,25 @@ from collections.abc import Callable
 import torch
 from omegaconf import DictConfig
 
-from airhockey_marl.algorithms.reward_shaping import Shaping, fading
-from airhockey_marl.evaluation.matches import Result, results_against
+from airhockey_marl.algorithms.reward_shaping import RewardShaping, shaping_strength
+from airhockey_marl.evaluation.matches import MatchResult, play_each
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.validation import check_counts
-from airhockey_marl.league.league import League, Member
+from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.self_play.collectors import Collecting, Crew
-from airhockey_marl.self_play.trainer import Practice
+from airhockey_marl.self_play.collectors import CollectorConfig, RolloutWorkers
+from airhockey_marl.self_play.trainer import SelfPlayTrainer
 
 
 def best_response(
     cfg: DictConfig,
     league: League,
-    target: Member,
+    target: PlayerId,
     generations: int,
     rounds: int,
     seed: int,
     progress: Callable[[str, float], None] = lambda phase, share: None,
-) -> list[tuple[int, Result]]:
+) -> list[tuple[int, MatchResult]]:
     """Train a new policy against `target` alone, by the same algorithm as the league's.
 
     Args:
@@ -45,13 +45,13 @@ def best_response(
         torch.manual_seed(seed)
         policy = GaussianPolicy(cfg.hidden, cfg.inputs)
         learner = build(cfg.algorithm).learner(policy, cfg.gamma)
-        crew = Crew(Collecting(), {**cfg.env, "backend": "batched"}, seed, policy, cfg.batch)
-        shaping = Shaping(cfg.shaping.position, cfg.shaping.velocity, cfg.shaping.shot, cfg.shaping.approach)
-        practice, history = Practice(crew, policy, shaping, cfg.gamma), []
+        crew = RolloutWorkers(CollectorConfig(), {**cfg.env, "backend": "batched"}, seed, policy, cfg.batch)
+        shaping = RewardShaping(cfg.shaping.position, cfg.shaping.velocity, cfg.shaping.shot, cfg.shaping.approach)
+        practice, history = SelfPlayTrainer(crew, policy, shaping, cfg.gamma), []
         for generation in range(1, generations + 1):
-            opponents, strength = league.lineup([target]), fading(generation, generations)
+            opponents, strength = league.lineup([target]), shaping_strength(generation, generations)
             practice.generation(learner, opponents, cfg.steps_per_generation, strength)
-            result = results_against(policy, opponents, rounds, seed + generation, cfg.env.decision_ticks)[target]
+            result = play_each(policy, opponents, rounds, seed + generation, cfg.env.frame_skip)[target]
             history.append((generation * cfg.steps_per_generation, result))
             progress("best response", generation / generations)
         crew.close()

@@ -15,19 +15,19 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 from torchrl.collectors import BaseCollector, Collector, MultiCollector
 
-from airhockey_marl.algorithms.reward_shaping import Shaping
-from airhockey_marl.envs.torchrl_env import make_env, serve_streams
+from airhockey_marl.algorithms.reward_shaping import RewardShaping
+from airhockey_marl.envs.torchrl_env import make_env, serve_rng_states
 from airhockey_marl.experiment import parallel as cluster
-from airhockey_marl.experiment.parallel import HERE
+from airhockey_marl.experiment.parallel import LOCAL_CLUSTER
 from airhockey_marl.experiment.validation import check_counts, check_numbers
-from airhockey_marl.league.league import Lineup
+from airhockey_marl.league.league import OpponentBatch
 from airhockey_marl.players.networks import GaussianPolicy
 
 LEARNER, OPPONENT = "left", "right"  # seats are alike, so the learner always takes the left one
 
 
 @dataclass(frozen=True)
-class Share:
+class TableSlice:
     """Of all tables, numbered from 0 to `of`, those from `first` to before `last`."""
 
     first: int
@@ -35,12 +35,14 @@ class Share:
     of: int
 
 
-def actor(seat: str, policy: nn.Module, share: Share | None = None) -> TensorDictModule:
-    """Let a policy act in a seat, sampling from its Gaussian; `share` says at which of all tables, see `Sampling`."""
-    return TensorDictModule(Sampling(policy, share), in_keys=[(seat, "observation")], out_keys=[(seat, "action")])
+def actor(seat: str, policy: nn.Module, share: TableSlice | None = None) -> TensorDictModule:
+    """Let a policy act in a seat, sampling from its Gaussian; `share` says at which of all tables, see `GaussianSampling`."""
+    return TensorDictModule(
+        GaussianSampling(policy, share), in_keys=[(seat, "observation")], out_keys=[(seat, "action")]
+    )
 
 
-class Sampling(nn.Module):
+class GaussianSampling(nn.Module):
     """Actions (..., 2) drawn from what a policy says about observations (..., 12).
 
     A whole `ProbabilisticActor` would be slower: no algorithm here needs the log-probabilities of the moment, each
@@ -51,7 +53,7 @@ class Sampling(nn.Module):
             the others; None if these are all.
     """
 
-    def __init__(self, policy: nn.Module, share: Share | None = None) -> None:
+    def __init__(self, policy: nn.Module, share: TableSlice | None = None) -> None:
         super().__init__()
         self.policy, self.share = policy, share
 
@@ -63,7 +65,7 @@ class Sampling(nn.Module):
         return mean + std * noise[self.share.first : self.share.last]
 
 
-class Seat(nn.Module):
+class SwappablePolicy(nn.Module):
     """A place for a policy that can be given up to another while a collector runs."""
 
     def __init__(self, policy: nn.Module) -> None:
@@ -74,7 +76,7 @@ class Seat(nn.Module):
         return self.policy(observation)
 
 
-def learner_view(data: TensorDictBase, shaping: Shaping, strength: float, gamma: float) -> TensorDictBase:
+def learner_batch(data: TensorDictBase, shaping: RewardShaping, strength: float, gamma: float) -> TensorDictBase:
     """What one seat lived through: (tables, ticks) with observation (.., 12), action (.., 2), reward (.., 1), next."""
     check_numbers(0.0, strength=strength)
     check_numbers(0.0, at_most=1.0, gamma=gamma)
@@ -95,7 +97,7 @@ KINDS = (SINGLE, MULTISYNC, RAY)
 
 
 @dataclass(frozen=True)
-class Collecting:
+class CollectorConfig:
     """How play is collected (`conf/collector`).
 
     Attributes:
@@ -106,7 +108,7 @@ class Collecting:
 
     kind: str = SINGLE
     workers: int = 1
-    address: str = HERE
+    address: str = LOCAL_CLUSTER
 
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
@@ -116,7 +118,9 @@ class Collecting:
         if self.kind == SINGLE and self.workers != 1:
             raise ValueError(f"collector.workers = {self.workers} must be 1 where collector.kind = {SINGLE}")
         if not isinstance(self.address, str) or not self.address:
-            raise ValueError(f"collector.address = {self.address!r} must be {HERE}, auto or a cluster's host:port")
+            raise ValueError(
+                f"collector.address = {self.address!r} must be {LOCAL_CLUSTER}, auto or a cluster's host:port"
+            )
         if self.kind == RAY and find_spec("ray") is None:
             raise ValueError(f"collector.kind = {RAY} needs what `pip install 'airhockey-haptics[ray]'` brings")
 
@@ -124,11 +128,11 @@ class Collecting:
 class TablesCollector(Collector):
     """TorchRL's collector at some of the tables, and what must be said to it, in whichever process it lives."""
 
-    def begin(self, opponents: Lineup, streams: np.ndarray) -> None:
+    def begin(self, opponents: OpponentBatch, streams: np.ndarray) -> None:
         """Begin new rounds, against these opponents, with these random numbers (tables,) uint64 of the tables."""
         self.policy.opponents.policy = opponents
         at = 0
-        for stream in serve_streams(self.env):
+        for stream in serve_rng_states(self.env):
             stream[:] = streams[at : at + len(stream)]
             at += len(stream)
         self.reset()
@@ -144,19 +148,19 @@ class TablesCollector(Collector):
 
     def streams(self) -> np.ndarray:
         """The random numbers of the tables, (tables,) uint64."""
-        return np.concatenate(serve_streams(self.env))
+        return np.concatenate(serve_rng_states(self.env))
 
 
-class BothSeats(TensorDictSequential):
+class TwoPlayerPolicy(TensorDictSequential):
     """What acts at a worker's tables: a copy of the learner, and whoever has been given the other seat."""
 
-    def __init__(self, learner: GaussianPolicy, share: Share) -> None:
-        opponents = Seat(learner)
+    def __init__(self, learner: GaussianPolicy, share: TableSlice) -> None:
+        opponents = SwappablePolicy(learner)
         super().__init__(actor(LEARNER, learner, share), actor(OPPONENT, opponents, share))
         self.learner, self.opponents = learner, opponents
 
 
-class Crew:
+class RolloutWorkers:
     """The workers, and the play they bring.
 
     Args:
@@ -170,14 +174,16 @@ class Crew:
         ValueError: there can be no such tables, seed or batch, or they cannot be divided among so many.
     """
 
-    def __init__(self, how: Collecting, env: Mapping[str, Any], seed: int, policy: GaussianPolicy, batch: int) -> None:
+    def __init__(
+        self, how: CollectorConfig, env: Mapping[str, Any], seed: int, policy: GaussianPolicy, batch: int
+    ) -> None:
         check_counts(0, seed=seed)
         check_counts(batch=batch)
         tables, self.workers, self.batch = env["tables"], how.workers, batch
         if tables % self.workers:
             raise ValueError(f"env.tables = {tables} must be a multiple of collector.workers = {self.workers}")
         each = tables // self.workers
-        self.shares = [Share(index * each, (index + 1) * each, tables) for index in range(self.workers)]
+        self.shares = [TableSlice(index * each, (index + 1) * each, tables) for index in range(self.workers)]
         envs = [partial(make_env, **{**env, "tables": each, "seed": seed + share.first}) for share in self.shares]
         seats = [partial(_both_seats, policy.facts, share, torch.get_rng_state()) for share in self.shares]
         # weights travel by `follow`, which waits until they have arrived, not in one of the collectors' own ways
@@ -187,7 +193,7 @@ class Crew:
         self.streams = np.concatenate(self._tell("streams"))
         torch.set_rng_state(self._tell("random_state")[0])
 
-    def begin(self, opponents: Lineup) -> None:
+    def begin(self, opponents: OpponentBatch) -> None:
         """Begin new rounds, against these opponents, with the random numbers of `streams`."""
         parts = [opponents.part(share.first, share.last, share.of) for share in self.shares]
         self._tell("begin", list(zip(parts, np.split(self.streams, self.workers), strict=True)))
@@ -212,8 +218,8 @@ class Crew:
         return self.collector.map_fn(what, arguments)
 
 
-def _both_seats(facts: Mapping[str, Any], share: Share, random_state: Tensor) -> BothSeats:
-    seats = BothSeats(GaussianPolicy.from_facts(facts).requires_grad_(False), share)
+def _both_seats(facts: Mapping[str, Any], share: TableSlice, random_state: Tensor) -> TwoPlayerPolicy:
+    seats = TwoPlayerPolicy(GaussianPolicy.from_facts(facts).requires_grad_(False), share)
     torch.set_rng_state(random_state)  # a new collector tries its policy once: that, too, is the same everywhere
     return seats
 
@@ -221,11 +227,11 @@ def _both_seats(facts: Mapping[str, Any], share: Share, random_state: Tensor) ->
 PLAIN = {"auto_register_policy_transforms": False}  # the tables give the keys that the policies want
 
 
-def _single(how: Collecting, envs: list, seats: list, batch: int) -> BaseCollector:
+def _single(how: CollectorConfig, envs: list, seats: list, batch: int) -> BaseCollector:
     return TablesCollector(envs[0](), policy_factory=seats[0], frames_per_batch=batch, total_frames=-1, **PLAIN)
 
 
-def _multisync(how: Collecting, envs: list, seats: list, batch: int) -> BaseCollector:
+def _multisync(how: CollectorConfig, envs: list, seats: list, batch: int) -> BaseCollector:
     return MultiCollector(
         envs,
         sync=True,
@@ -240,11 +246,11 @@ def _multisync(how: Collecting, envs: list, seats: list, batch: int) -> BaseColl
     )
 
 
-def _ray(how: Collecting, envs: list, seats: list, batch: int) -> BaseCollector:
+def _ray(how: CollectorConfig, envs: list, seats: list, batch: int) -> BaseCollector:
     import ray
     from torchrl.collectors.distributed import RayCollector
 
-    cluster.join(how.address, how.workers)
+    cluster.join_ray_cluster(how.address, how.workers)
     cores = int(ray.cluster_resources().get("CPU", 0))
     if cores < how.workers:  # the actors would be waited for in vain
         raise ValueError(f"collector.workers = {how.workers} must be at most {cores}, the cores of the Ray cluster")

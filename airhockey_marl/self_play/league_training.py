@@ -11,35 +11,40 @@ from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
 from airhockey_marl.algorithms.base import Learner
-from airhockey_marl.algorithms.divergence import stopping
-from airhockey_marl.algorithms.reward_shaping import Shaping, fading
+from airhockey_marl.algorithms.divergence import name_divergence
+from airhockey_marl.algorithms.reward_shaping import RewardShaping, shaping_strength
 from airhockey_marl.evaluation import figures
-from airhockey_marl.evaluation.matches import results_against
+from airhockey_marl.evaluation.matches import play_each
 from airhockey_marl.experiment.checkpoint import Checkpoint
 from airhockey_marl.experiment.command import (
     InputError,
-    input_errors,
+    report_input_errors,
 )
-from airhockey_marl.experiment.files import saying, write_text
-from airhockey_marl.experiment.tensorboard import add_picture, board_of, introduce, open_board
-from airhockey_marl.league.league import League, Member
-from airhockey_marl.league.opponent_pool import Pool
-from airhockey_marl.league.opponent_sampling import Sampler
+from airhockey_marl.experiment.files import name_write_errors, write_text
+from airhockey_marl.experiment.tensorboard import add_picture, log_run_header, open_writer, tensorboard_dir
+from airhockey_marl.league.league import League, PlayerId
+from airhockey_marl.league.opponent_pool import OpponentPool
+from airhockey_marl.league.opponent_sampling import OpponentSampler
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.players.scripted import ANCHORS
-from airhockey_marl.self_play.collectors import Crew
-from airhockey_marl.self_play.trainer import Practice
+from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
+from airhockey_marl.self_play.collectors import RolloutWorkers
+from airhockey_marl.self_play.trainer import SelfPlayTrainer
 
 LEAGUE, MATCHES, STATE = "league.safetensors", "matches.csv", "state.safetensors"
 FACTS = {"generation": int, "matches": list, "goals": list, "seconds": float}  # of the state
-JUDGE = "striker"  # of the scripts: the strongest
+STRONGEST_SCRIPT = "striker"  # of the scripts: the strongest
 CARD_ROUNDS = 25  # times as many rounds as in training, for the scores on the card
 FILM_SECONDS, FILM_WIDTH = 6.0, 240  # of play, and pixels
 SEEDS_APART = 100_000  # more than there are tables in a match, each of which has a seed of its own
 
 
-def train(
-    cfg: DictConfig, folder: Path, policy: GaussianPolicy, learner: Learner, crew: Crew, sampler: Sampler
+def train_league(
+    cfg: DictConfig,
+    folder: Path,
+    policy: GaussianPolicy,
+    learner: Learner,
+    crew: RolloutWorkers,
+    sampler: OpponentSampler,
 ) -> tuple[League, float]:
     """Run the league: generation after generation learns against those before it, is frozen and written to `folder`.
 
@@ -53,13 +58,13 @@ def train(
         The league, and the seconds it took, before it was resumed and after.
     """
     checkpoint = Checkpoint({"policy": policy, **learner.parts()}, np.random.default_rng(cfg.seed), [crew.streams])
-    shaping = Shaping(cfg.shaping.position, cfg.shaping.velocity, cfg.shaping.shot, cfg.shaping.approach)
-    practice = Practice(crew, policy, shaping, cfg.gamma)
-    pool = Pool(League(GaussianPolicy(cfg.hidden, cfg.inputs)), cfg.league.anchors, sampler, cfg.league.memory)
+    shaping = RewardShaping(cfg.shaping.position, cfg.shaping.velocity, cfg.shaping.shot, cfg.shaping.approach)
+    practice = SelfPlayTrainer(crew, policy, shaping, cfg.gamma)
+    pool = OpponentPool(League(GaussianPolicy(cfg.hidden, cfg.inputs)), cfg.league.anchors, sampler, cfg.league.memory)
     pool.league.add(policy)
     done, matches, seconds = 0, [], 0.0
     if cfg.resume is not None:
-        with input_errors():
+        with report_input_errors():
             written = League.load(folder / LEAGUE)
             facts = checkpoint.load(folder / STATE, FACTS)  # last: now the random numbers are those of the run
             if not 0 <= facts["generation"] < len(written):
@@ -68,26 +73,26 @@ def train(
         pool.goals = dict(facts["goals"])
         pool.league = written.until(done)
     # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
-    board = open_board(board_of(folder), done * cfg.steps_per_generation + 1)
+    board = open_writer(tensorboard_dir(folder), done * cfg.steps_per_generation + 1)
     if not done:
-        introduce(board, cfg)
+        log_run_header(board, cfg)
     began = time.perf_counter() - seconds
     todo = range(done + 1, cfg.generations + 1)
     bar = tqdm(todo, desc="generation", initial=done, total=cfg.generations, file=sys.stderr, disable=None)
     for generation in bar:
         opponents = pool.draw(cfg.league.opponents, checkpoint.rng)
-        strength = fading(generation, cfg.shaping.generations)
-        with stopping(f"generation {generation}", folder / STATE):
+        strength = shaping_strength(generation, cfg.shaping.generations)
+        with name_divergence(f"generation {generation}", folder / STATE):
             metrics, goals = practice.generation(learner, opponents, cfg.steps_per_generation, strength)
         pool.remember(opponents.members, goals)
         pool.league.add(policy)
-        others = references(generation, cfg.league.match_every)
-        results = results_against(
+        others = reference_opponents(generation, cfg.league.match_every)
+        results = play_each(
             pool.league.player(generation),
             pool.league.lineup(others),
             cfg.league.match_rounds,
             cfg.seed + SEEDS_APART * generation,
-            cfg.env.decision_ticks,
+            cfg.env.frame_skip,
         )
         matches += [
             {"generation": generation, "opponent": opponent, **result._asdict()} for opponent, result in results.items()
@@ -97,42 +102,44 @@ def train(
         rates = {str(opponent): result.win_rate for opponent, result in results.items()}
         scalars = {f"update/{name}": value for name, value in metrics.items()}
         scalars |= {f"win_rate_against/{name}": value for name, value in rates.items()}
-        with saying(board_of(folder)):
+        with name_write_errors(tensorboard_dir(folder)):
             for name, value in {**scalars, "speed/steps_per_s": step / seconds}.items():
                 board.add_scalar(name, value, step)
             if cfg.pictures_every and (generation % cfg.pictures_every == 0 or generation == cfg.generations):
-                show(board, pool.league, matches, cfg.seed, cfg.env.decision_ticks, step)
+                log_pictures(board, pool.league, matches, cfg.seed, cfg.env.frame_skip, step)
             board.flush()
         pool.league.save(folder / LEAGUE)
         write_text(folder / MATCHES, pd.DataFrame(matches).to_csv(index=False))
         facts = {"generation": generation, "matches": matches, "goals": list(pool.goals.items()), "seconds": seconds}
         checkpoint.save(folder / STATE, facts)
-        bar.set_postfix({name: f"{rates[name]:.2f}" for name in ("0", *ANCHORS)})
+        bar.set_postfix({name: f"{rates[name]:.2f}" for name in ("0", *SCRIPTED_PLAYERS)})
     board.close()
     return pool.league, time.perf_counter() - began
 
 
-def show(board: SummaryWriter, league: League, matches: list[dict], seed: int, decision_ticks: int, step: int) -> None:
+def log_pictures(
+    board: SummaryWriter, league: League, matches: list[dict], seed: int, frame_skip: int, step: int
+) -> None:
     """Log the newest generation against the strongest script, as a film, and all matches so far, as a heat map.
 
     The random numbers are the film's own: the league is the same with pictures and without.
     """
-    seats, how = (len(league) - 1, JUDGE), {"decision_ticks": decision_ticks, "width": FILM_WIDTH}
+    seats, how = (len(league) - 1, STRONGEST_SCRIPT), {"frame_skip": frame_skip, "width": FILM_WIDTH}
     add_picture(board, "league/film", figures.film(league, seats, seed, FILM_SECONDS, **how), step)
     add_picture(board, "league/win_rates", figures.png(figures.win_rates_figure(pd.DataFrame(matches)), 100), step)
 
 
-def references(generation: int, every: int) -> list[Member]:
+def reference_opponents(generation: int, every: int) -> list[PlayerId]:
     """Whom a new generation is measured against: each `every`-th generation before it, and the scripted anchors."""
-    return [*range(0, generation, every), *ANCHORS]
+    return [*range(0, generation, every), *SCRIPTED_PLAYERS]
 
 
-def card(cfg: DictConfig, league: League) -> dict:
+def model_card(cfg: DictConfig, league: League) -> dict:
     """The model card of a league: what it is, and how its last generation plays."""
     last = len(league) - 1
-    others = [*sorted({0, last // 4, last // 2, 3 * last // 4} - {last}), *ANCHORS]
+    others = [*sorted({0, last // 4, last // 2, 3 * last // 4} - {last}), *SCRIPTED_PLAYERS]
     rounds = CARD_ROUNDS * cfg.league.match_rounds
-    results = results_against(league.player(last), league.lineup(others), rounds, cfg.seed + 1, cfg.env.decision_ticks)
+    results = play_each(league.player(last), league.lineup(others), rounds, cfg.seed + 1, cfg.env.frame_skip)
     return {
         "model": "optimal action model: a league of self-play generations (section 3.2.2)",
         "date": time.strftime("%Y-%m-%d"),

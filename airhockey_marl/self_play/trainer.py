@@ -5,15 +5,15 @@ import torch
 from tensordict import TensorDictBase
 
 from airhockey_marl.algorithms.base import Learner
-from airhockey_marl.algorithms.divergence import require_finite_parts, require_sound
-from airhockey_marl.algorithms.reward_shaping import Shaping
+from airhockey_marl.algorithms.divergence import require_finite_modules, require_sound_metrics
+from airhockey_marl.algorithms.reward_shaping import RewardShaping
 from airhockey_marl.experiment.validation import check_counts, check_numbers
-from airhockey_marl.league.league import Lineup
+from airhockey_marl.league.league import OpponentBatch
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.self_play.collectors import LEARNER, Crew, learner_view
+from airhockey_marl.self_play.collectors import LEARNER, RolloutWorkers, learner_batch
 
 
-class Practice:
+class SelfPlayTrainer:
     """One policy's learning: the learner sits at the left of each table, a line-up at the right.
 
     Args:
@@ -22,13 +22,13 @@ class Practice:
         gamma: discount per decision, for the shaping.
     """
 
-    def __init__(self, crew: Crew, policy: GaussianPolicy, shaping: Shaping, gamma: float) -> None:
+    def __init__(self, crew: RolloutWorkers, policy: GaussianPolicy, shaping: RewardShaping, gamma: float) -> None:
         check_numbers(0.0, at_most=1.0, gamma=gamma)
         self.crew, self.policy, self.shaping, self.gamma = crew, policy, shaping, gamma
         self.device = next(policy.parameters()).device
 
     def generation(
-        self, learner: Learner, opponents: Lineup, steps: int, strength: float
+        self, learner: Learner, opponents: OpponentBatch, steps: int, strength: float
     ) -> tuple[dict[str, float], np.ndarray]:
         """Learn from `steps` steps against these opponents, with shaping of this strength (0 to 1).
 
@@ -45,16 +45,16 @@ class Practice:
         for _ in range(steps // self.crew.batch):
             with torch.no_grad():
                 play = self.crew.play({name: tensor.cpu() for name, tensor in self.policy.state_dict().items()})
-                goals += goals_of(play, len(opponents.members))
-                view = learner_view(play, self.shaping, strength, self.gamma)
+                goals += count_goals(play, len(opponents.members))
+                view = learner_batch(play, self.shaping, strength, self.gamma)
             history.append(learner.update(view.to(self.device)))
-            require_sound(history[-1])
+            require_sound_metrics(history[-1])
         self.crew.end()
-        require_finite_parts({"policy": self.policy, **learner.parts()})
+        require_finite_modules({"policy": self.policy, **learner.parts()})
         return {name: float(np.mean([metrics[name] for metrics in history])) for name in history[0]}, goals
 
 
-def goals_of(play: TensorDictBase, members: int) -> np.ndarray:
+def count_goals(play: TensorDictBase, members: int) -> np.ndarray:
     """Goals scored and conceded (members, 2) by the learner, by blocks of tables: one for each of a line-up."""
     check_counts(members=members)
     reward = play["next", LEARNER, "reward"]

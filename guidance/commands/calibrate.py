@@ -19,32 +19,39 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import (
     InputError,
     ProgressBar,
     command,
-    input_errors,
+    report_input_errors,
     require_counts,
     require_numbers,
 )
 from airhockey_marl.experiment.files import write_text
 from airhockey_marl.league.league import League
-from airhockey_marl.players.inference import steady
-from guidance.simulated_users import Users, load_mentors, training_people
+from airhockey_marl.players.inference import greedy_player
+from guidance.simulated_users import SimulatedUsers, load_advisors, training_people
 from guidance.simulated_users.force_response import check_variant
-from guidance.study.calibration import fitting_opponent, leads_of, optimal_wins, predicted_std, stiffest, threshold
+from guidance.study.calibration import (
+    lookahead_win_rate,
+    max_stable_stiffness,
+    predicted_std,
+    select_opponent,
+    target_lead,
+    threshold,
+)
 from guidance.study.games import Games, no_force, play_games
-from guidance.study.protocol import streams
-from guidance.study.provenance import chosen_models
+from guidance.study.protocol import spawn_rng_states
+from guidance.study.provenance import load_models
 
 OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has the number of its condition
 
 
 @command("calibrate")
 def main(cfg: DictConfig) -> None:
-    with input_errors():
+    with report_input_errors():
         require_counts(cfg, "threads", "every")
         check_variant(cfg.users.variant)
         require_counts(cfg, "games", least=2)  # UA from one, uncertainty in the others
@@ -56,9 +63,9 @@ def main(cfg: DictConfig) -> None:
         if not all(isinstance(seconds, float) and 0 <= seconds <= 1 for seconds in cfg.stability.lookaheads):
             raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers from 0 to 1")
         people = training_people(cfg.seed, build(cfg.users.population))
-        mentors = load_mentors(cfg.users.mentors)
+        mentors = load_advisors(cfg.users.mentors)
         protocol = build(cfg.study, familiarisation=0)
-        models = chosen_models(cfg)
+        models = load_models(cfg)
         league = League.load(cfg.models.opponents)
         if cfg.opponent is not None:
             league.generation(cfg.opponent)
@@ -68,12 +75,13 @@ def main(cfg: DictConfig) -> None:
     def play(generation: int, trial: int, demonstrations: bool = False) -> Games:
         """Each of the nine plays `games` games: rows are person by person."""
         keys = [
-            [streams(cfg.seed, [u], trial + g, p) for u in range(len(people)) for g in range(cfg.games)] for p in (0, 1)
+            [spawn_rng_states(cfg.seed, [u], trial + g, p) for u in range(len(people)) for g in range(cfg.games)]
+            for p in (0, 1)
         ]
         minds, serves = (np.concatenate(part) for part in keys)
-        seated = Users(np.repeat(people, cfg.games), minds, Table(), cfg.users.variant, mentors)
-        opponent = steady(league.player(generation))
-        return play_games(seated, opponent, no_force, protocol, Table(), serves, demonstrations)
+        seated = SimulatedUsers(np.repeat(people, cfg.games), minds, TableSpec(), cfg.users.variant, mentors)
+        opponent = greedy_player(league.player(generation))
+        return play_games(seated, opponent, no_force, protocol, TableSpec(), serves, demonstrations)
 
     trials = {}
     candidates = [cfg.opponent] if cfg.opponent is not None else range(0, len(league), cfg.every)
@@ -84,7 +92,7 @@ def main(cfg: DictConfig) -> None:
             "round_seconds": round(float(games.seconds.sum() / games.rounds.sum()), 1),
         }
         progress("opponents", (i + 1) / len(candidates))
-    opponent = cfg.opponent if cfg.opponent is not None else fitting_opponent(trials, cfg.win_rate, cfg.round_seconds)
+    opponent = cfg.opponent if cfg.opponent is not None else select_opponent(trials, cfg.win_rate, cfg.round_seconds)
 
     progress("thresholds", 0.0)
     states = play(opponent, THRESHOLD_TRIAL, demonstrations=True).demonstrations
@@ -95,15 +103,17 @@ def main(cfg: DictConfig) -> None:
     progress("thresholds", 1.0)
     progress.close()
     leads = {
-        seconds: leads_of(models, states, cfg.games, seconds)
+        seconds: target_lead(models, states, cfg.games, seconds)
         for seconds in sorted({*cfg.stability.lookaheads, cfg.guidance.lookahead})
     }
     damping = people["stiffness"] * people["damping_time"] + people["device_damping"]
     stable = {
         seconds: {
             "lead": round(float(lead.mean()), 4),
-            "stiffness": stiffest(lead, damping, **cfg.stability.rule),
-            "optimal_wins": round(optimal_wins(models, steady(league.player(opponent)), seconds, cfg.seed), 3),
+            "stiffness": max_stable_stiffness(lead, damping, **cfg.stability.rule),
+            "optimal_wins": round(
+                lookahead_win_rate(models, greedy_player(league.player(opponent)), seconds, cfg.seed), 3
+            ),
         }
         for seconds, lead in leads.items()
     }

@@ -22,13 +22,13 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.building import build
-from airhockey_marl.experiment.command import InputError, ProgressBar, command, input_errors, require_counts
-from airhockey_marl.experiment.files import replacing, sha256, write_json
+from airhockey_marl.experiment.command import InputError, ProgressBar, command, report_input_errors, require_counts
+from airhockey_marl.experiment.files import atomic_write, sha256, write_json
 from airhockey_marl.league.league import League
-from airhockey_marl.players.inference import steady
-from guidance.simulated_users import Population, load_mentors, sample_people, training_people
+from airhockey_marl.players.inference import greedy_player
+from guidance.simulated_users import Population, load_advisors, sample_people, training_people
 from guidance.simulated_users.force_response import Variant
 from guidance.study import demonstrations
 from guidance.user_model.data import Demonstrations
@@ -64,7 +64,7 @@ def check(cfg: DictConfig) -> None:
 @command("collect")
 def main(cfg: DictConfig) -> None:
     folder, began = Path(HydraConfig.get().runtime.output_dir), time.perf_counter()
-    with input_errors():
+    with report_input_errors():
         check(cfg)
         league = League.load(cfg.models.opponents)
         if cfg.opponent >= len(league):
@@ -73,16 +73,18 @@ def main(cfg: DictConfig) -> None:
             raise InputError(f"hydra.run.dir = {folder} must be a folder without {TENSORS}/: data are not replaced")
         population: Population = build(cfg.users.population)
         draw = training_people if cfg.people == "training" else partial(sample_people, cfg.participants)
-        people, mentors = draw(cfg.seed, population), load_mentors(cfg.users.mentors)
+        people, mentors = draw(cfg.seed, population), load_advisors(cfg.users.mentors)
     torch.set_num_threads(cfg.threads)
-    progress, table, sizes = ProgressBar(), Table(), (cfg.demonstrations.games, cfg.demonstrations.ticks)
-    told, opponent = partial(progress, f"{len(people)} people play"), steady(league.player(cfg.opponent))
-    data = demonstrations.collect(people, opponent, *sizes, table, cfg.users.variant, mentors, cfg.seed, told)
+    progress, table, sizes = ProgressBar(), TableSpec(), (cfg.demonstrations.games, cfg.demonstrations.ticks)
+    told, opponent = partial(progress, f"{len(people)} people play"), greedy_player(league.player(cfg.opponent))
+    data = demonstrations.collect_demonstrations(
+        people, opponent, *sizes, table, cfg.users.variant, mentors, cfg.seed, told
+    )
     progress.close()
     who = people_table(people, list(population.archetypes))
     write_tensors(folder / TENSORS, data)
     write_rows(folder / ROWS, data, who["archetype"], table)
-    with replacing(folder / PEOPLE) as temporary:
+    with atomic_write(folder / PEOPLE) as temporary:
         who.to_csv(temporary, index=False)
     users = who[["user", "archetype"]].join(summary(data, table).round(4)).to_dict("records")
     write_json(folder / CARD, card(cfg, folder, data, users, time.perf_counter() - began))
@@ -101,7 +103,7 @@ def card(cfg: DictConfig, folder: Path, data: Demonstrations, users: list[dict],
         "opponent_generation": cfg.opponent,
         "opponents_sha256": sha256(cfg.models.opponents),
         **dict(zip(("users", "games", "ticks"), data.action.shape[:3], strict=True)),
-        "tick_s": Table().tick,
+        "tick_s": TableSpec().tick,
         "open": [
             f"import pandas; rows = pandas.read_parquet('{ROWS}')",
             f"from tensordict import TensorDict; tensors = TensorDict.load_memmap('{TENSORS}')",

@@ -22,51 +22,57 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch.utils.tensorboard import SummaryWriter
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import (
     ProgressBar,
     command,
-    input_errors,
+    report_input_errors,
     require_counts,
     require_device,
     require_numbers,
 )
-from airhockey_marl.experiment.files import replacing, write_json
-from airhockey_marl.experiment.tensorboard import add_picture, board_of, conclude, introduce, verbatim
-from guidance.simulated_users import Population, load_mentors, sample_people
+from airhockey_marl.experiment.files import atomic_write, write_json
+from airhockey_marl.experiment.tensorboard import (
+    add_picture,
+    log_final_scores,
+    log_run_header,
+    tensorboard_dir,
+    verbatim,
+)
+from guidance.simulated_users import Population, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
 from guidance.simulated_users.ratings import RATINGS
 from guidance.statistics.histograms import Histograms
 from guidance.statistics.paper import compare_with_paper
 from guidance.statistics.report import screen_table, write_report
 from guidance.statistics.tests import METRICS, conditions_of
-from guidance.study.protocol import NINE, Protocol, balanced, williams
-from guidance.study.provenance import chosen_conditions, chosen_models, chosen_opponent, hashes_of, manifest
+from guidance.study.protocol import PAPER_LETTERS, Protocol, is_balanced, williams_design
+from guidance.study.provenance import file_hashes, load_conditions, load_models, load_opponent, manifest
 from guidance.study.study import run_study
 
 
 @command("evaluate")
 def main(cfg: DictConfig) -> None:
     began = time.perf_counter()
-    with input_errors():
+    with report_input_errors():
         require_counts(cfg, "participants", "threads")
         require_counts(cfg, "seed", least=0)
         require_device(cfg)
         require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
-        conditions = chosen_conditions(cfg)
+        conditions = load_conditions(cfg)
         protocol: Protocol = build(cfg.study)
         population: Population = build(cfg.users.population)
-        models = chosen_models(cfg, cfg.device)
-        opponent = chosen_opponent(cfg, cfg.device)
+        models = load_models(cfg, cfg.device)
+        opponent = load_opponent(cfg, cfg.device)
         people = sample_people(cfg.participants, cfg.seed, population)
-        mentors = load_mentors(cfg.users.mentors)
+        mentors = load_advisors(cfg.users.mentors)
         for name in cfg.users.withdrawn:
             if name not in RATINGS:
                 raise ValueError(f"users.withdrawn: {name!r} must be one of {', '.join(RATINGS)}")
         check_variant(cfg.users.variant)
-    if not balanced(cfg.participants, len(NINE)):
-        rows = len(williams(len(NINE)))
+    if not is_balanced(cfg.participants, len(PAPER_LETTERS)):
+        rows = len(williams_design(len(PAPER_LETTERS)))
         print(f"note: the order of nine conditions is balanced over multiples of {rows} people", file=sys.stderr)
     torch.set_num_threads(cfg.threads)
     progress, histograms = ProgressBar(), Histograms(conditions, len(people), cfg.guidance.spring.limit)
@@ -77,7 +83,7 @@ def main(cfg: DictConfig) -> None:
         opponent,
         cfg.guidance.lookahead,
         protocol,
-        Table(),
+        TableSpec(),
         cfg.users.variant,
         mentors,
         OmegaConf.to_container(cfg.users.scales),
@@ -87,10 +93,10 @@ def main(cfg: DictConfig) -> None:
     )
     progress.close()
     folder = Path(HydraConfig.get().runtime.output_dir)
-    with replacing(folder / "trials.csv") as temporary:
+    with atomic_write(folder / "trials.csv") as temporary:
         trials.to_csv(temporary, index=False)
     command_line = " ".join(["python -m guidance.evaluate", *HydraConfig.get().overrides.task])
-    facts = manifest(cfg, hashes_of(cfg, models), command_line, time.perf_counter() - began)
+    facts = manifest(cfg, file_hashes(cfg, models), command_line, time.perf_counter() - began)
     write_json(folder / "manifest.json", facts)
     tests = write_report(trials, folder, facts)
     log_to_tensorboard(cfg, folder, trials, tests, histograms)
@@ -106,8 +112,8 @@ def log_to_tensorboard(
     means = trials.groupby("condition")[list(METRICS)].mean()
     findings = compare_with_paper(tests, list(cfg.users.withdrawn))
     findings = findings.loc[findings["paper"] == "significant", "outcome"]
-    with SummaryWriter(str(board_of(folder))) as writer:
-        introduce(writer, cfg)
+    with SummaryWriter(str(tensorboard_dir(folder))) as writer:
+        log_run_header(writer, cfg)
         for name, condition in conditions_of(trials).items():
             place = 1 + ascii_lowercase.index(condition.letter)  # side by side; each a curve, or they would be smoothed
             for metric, mean in means.loc[name].dropna().items():
@@ -116,7 +122,7 @@ def log_to_tensorboard(
         histograms.log(writer)
         add_picture(writer, "figure/figure6", (folder / "figure6.png").read_bytes(), 0)
     scores = {metric: means[metric].mean() for metric in ("win_rate", "mean_smash_speed", "defense_rate")}
-    conclude(folder, cfg, scores | {"replicated": float((findings == "replicated").sum())})
+    log_final_scores(folder, cfg, scores | {"replicated": float((findings == "replicated").sum())})
 
 
 if __name__ == "__main__":

@@ -20,24 +20,24 @@ import numpy as np
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.building import build
-from airhockey_marl.experiment.command import InputError, command, input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.command import InputError, command, report_input_errors, require_counts, require_numbers
 from guidance.display.pages import Items, Page
 from guidance.display.window import NARROWEST, Window
-from guidance.haptics.clock import HurriedClock, WallClock
-from guidance.haptics.open_device import at_the_device, check_device
-from guidance.haptics.seat import Dark, Leave, Seat, leaving_when_told
+from guidance.haptics.clock import SimulatedClock, WallClock
+from guidance.haptics.open_device import check_device, device_session
+from guidance.haptics.seat import NullDisplay, Quit, RealTimePlayer, leaving_when_told
 from guidance.sessions.bids import Participant, Records
 from guidance.sessions.lsl import open_streams
 from guidance.sessions.recording import load_json
-from guidance.sessions.session import SKIP, Nobody, Plan, Session
-from guidance.simulated_users import Users, load_mentors, sample_people
+from guidance.sessions.session import SKIP, NullEvents, Session, SessionPlan
+from guidance.simulated_users import SimulatedUsers, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
 from guidance.simulated_users.ratings import RATINGS
 from guidance.study.models import Models
-from guidance.study.protocol import NO_CONDITION, streams
-from guidance.study.provenance import chosen_conditions, chosen_models, chosen_opponent, hashes_of, manifest
+from guidance.study.protocol import CALIBRATION_GAME, spawn_rng_states
+from guidance.study.provenance import file_hashes, load_conditions, load_models, load_opponent, manifest
 
 KEYS = {
     "space": "pause",
@@ -59,15 +59,15 @@ class Sitter:
     """
 
     def __init__(self, cfg: DictConfig, person: np.ndarray, place: int) -> None:
-        self.cfg, self.person, self.place, self.mentors = cfg, person, place, load_mentors(cfg.users.mentors)
-        self.users = self._in_game(NO_CONDITION)
+        self.cfg, self.person, self.place, self.mentors = cfg, person, place, load_advisors(cfg.users.mentors)
+        self.users = self._in_game(CALIBRATION_GAME)
 
-    def _in_game(self, game: int) -> Users:
+    def _in_game(self, game: int) -> SimulatedUsers:
         """As the study has them in this game."""
-        mind = streams(self.cfg.seed, [self.place], game, 0)
-        return Users(self.person, mind, Table(), self.cfg.users.variant, self.mentors)
+        mind = spawn_rng_states(self.cfg.seed, [self.place], game, 0)
+        return SimulatedUsers(self.person, mind, TableSpec(), self.cfg.users.variant, self.mentors)
 
-    def sit_down(self, seat: Seat, game: int) -> None:
+    def sit_down(self, seat: RealTimePlayer, game: int) -> None:
         """Take the seat for a game."""
         self.users = seat.person = seat.hand.device.users = self._in_game(game)
 
@@ -102,9 +102,9 @@ def check(cfg: DictConfig) -> None:
         raise InputError(f"window = false must be true for device = {cfg.device.kind}: somebody looks at it")
 
 
-def facts_of(cfg: DictConfig, models: Models, plan: Plan) -> dict:
+def facts_of(cfg: DictConfig, models: Models, plan: SessionPlan) -> dict:
     """The manifest of the study; two with other devices, limits, questions or kinds of people are not the same one."""
-    facts = manifest(cfg, hashes_of(cfg, models), "", 0.0)
+    facts = manifest(cfg, file_hashes(cfg, models), "", 0.0)
     who = "simulated" if cfg.device.kind == "simulated" else "people"
     how = [facts["study_hash"], OmegaConf.to_container(cfg.device), OmegaConf.to_container(cfg.safety), who]
     how += [dict(plan.questions), list(plan.scale), cfg.breath, plan.consent, list(map(repr, plan.conditions))]
@@ -114,7 +114,7 @@ def facts_of(cfg: DictConfig, models: Models, plan: Plan) -> dict:
     return facts | {"study_hash": digest, "participants": who, "command": "airhockey lab", "config": config}
 
 
-def plan_of(cfg: DictConfig, models: Models) -> Plan:
+def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
     """What the configuration has everybody do.
 
     Raises:
@@ -123,10 +123,10 @@ def plan_of(cfg: DictConfig, models: Models) -> Plan:
     consent = Path(cfg.consent)
     if not consent.is_file():
         raise ValueError(f"consent = {consent} must be a file with a text")
-    return Plan(
-        conditions=chosen_conditions(cfg),
+    return SessionPlan(
+        conditions=load_conditions(cfg),
         models=models,
-        opponent=chosen_opponent(cfg),
+        opponent=load_opponent(cfg),
         opponent_label=f"generation {cfg.opponent}",
         protocol=build(cfg.study),
         lookahead_seconds=cfg.guidance.lookahead,
@@ -142,38 +142,40 @@ def plan_of(cfg: DictConfig, models: Models) -> Plan:
 
 @command("lab")
 def main(cfg: DictConfig) -> None:
-    with input_errors():
+    with report_input_errors():
         check(cfg)
     if cfg.withdraw:
         withdraw(Path(cfg.records), str(cfg.participant))
         return
-    with input_errors():
-        models = chosen_models(cfg)
+    with report_input_errors():
+        models = load_models(cfg)
         plan, limits = plan_of(cfg, models), build(cfg.safety)
         people = sample_people(cfg.participants, cfg.seed, build(cfg.users.population))
-        facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else Nobody()
+        facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else NullEvents()
     torch.set_num_threads(cfg.threads)
-    clock = WallClock() if cfg.window else HurriedClock()
+    clock = WallClock() if cfg.window else SimulatedClock()
     with ExitStack() as room:
         window = held = sitter = None
         if cfg.window:
             how = cfg.width, cfg.frames_per_second, clock, KEYS
-            window = room.enter_context(Window("Air hockey", Table(), *how, shows_force=False))
+            window = room.enter_context(Window("Air hockey", TableSpec(), *how, shows_force=False))
         if cfg.device.kind != "simulated":  # nobody is enrolled, and no study begun, before there is something to hold
-            held = room.enter_context(at_the_device(cfg.device, limits))
-        with input_errors():
+            held = room.enter_context(device_session(cfg.device, limits))
+        with report_input_errors():
             records = room.enter_context(Records(cfg.records, facts))
         participant = enrolled(records, cfg)
         if held is None:
             sitter = Sitter(cfg, people[participant.place : participant.place + 1], participant.place)
-            held = room.enter_context(at_the_device(cfg.device, limits, sitter.users))
-        seat = Seat(held.hand, window or Dark(), clock, Table().tick, cfg.breath if cfg.window else 0.0)
+            held = room.enter_context(device_session(cfg.device, limits, sitter.users))
+        seat = RealTimePlayer(
+            held.hand, window or NullDisplay(), clock, TableSpec().tick, cfg.breath if cfg.window else 0.0
+        )
         if window is not None:
             window.pointed, window.unplugged = held.pointed, held.unplugged
             if cfg.fullscreen:
                 window.toggle_fullscreen()
         seated = (lambda game: sitter.sit_down(seat, game)) if sitter else (lambda game: None)
-        with suppress(Leave), leaving_when_told():
+        with suppress(Quit), leaving_when_told():
             Session(plan, participant, seat, window or sitter, events, seated).run()
         if participant.consent is None:
             records.withdraw(participant.label, counted=False)
@@ -191,7 +193,7 @@ def withdraw(folder: Path, label: str) -> None:
     Raises:
         InputError: there are no records, or nobody of this label.
     """
-    with input_errors():
+    with report_input_errors():
         if not (folder / "manifest.json").is_file():
             raise InputError(f"records = {folder} holds no study")
         with Records(folder, load_json(folder / "manifest.json")) as records:
@@ -205,7 +207,7 @@ def enrolled(records: Records, cfg: DictConfig) -> Participant:
     Raises:
         InputError: a label that is not one, or all places are taken.
     """
-    with input_errors():
+    with report_input_errors():
         label = None if cfg.participant == NEW else str(cfg.participant)
         if label not in records.places and len(records.places) >= cfg.participants:
             raise InputError(f"participants = {cfg.participants}: all places are taken")

@@ -22,29 +22,29 @@ from omegaconf import DictConfig, OmegaConf
 from torch import nn
 from tqdm import tqdm
 
-from airhockey_marl.algorithms.divergence import stopping
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.algorithms.divergence import name_divergence
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.checkpoint import Checkpoint
 from airhockey_marl.experiment.command import (
     InputError,
     ProgressBar,
     command,
-    config_of,
-    input_errors,
+    report_input_errors,
     require_counts,
     require_device,
     require_numbers,
+    resumed_config,
 )
 from airhockey_marl.experiment.files import sha256, write_json
-from airhockey_marl.experiment.run_folder import locked
-from airhockey_marl.experiment.tensorboard import board_of, conclude, introduce, open_board
+from airhockey_marl.experiment.run_folder import lock_run_folder
+from airhockey_marl.experiment.tensorboard import log_final_scores, log_run_header, open_writer, tensorboard_dir
 from airhockey_marl.players.networks import GaussianPolicy
-from guidance.simulated_users import Mentors, Population, load_mentors, sample_people, training_people
+from guidance.simulated_users import Advisors, Population, load_advisors, sample_people, training_people
 from guidance.simulated_users.force_response import check_variant
-from guidance.study.demonstrations import collect
+from guidance.study.demonstrations import collect_demonstrations
 from guidance.study.models import save_user_model
-from guidance.study.provenance import chosen_opponent
+from guidance.study.provenance import load_opponent
 from guidance.user_model.data import Demonstrations
 from guidance.user_model.evaluation import judge, predictors
 from guidance.user_model.rounds import action_ahead
@@ -76,20 +76,20 @@ def check(cfg: DictConfig) -> None:
 @command("meta_train")
 def main(cfg: DictConfig) -> float:
     """Train both; for a sweeper, the loss of Eq. 3 after UA on people that the model has not seen."""
-    with input_errors():
+    with report_input_errors():
         if cfg.resume is not None:
-            cfg = config_of(Path(cfg.resume), STATE, cfg)
+            cfg = resumed_config(Path(cfg.resume), STATE, cfg)
         check(cfg)
         check_variant(cfg.users.variant)
         population: Population = build(cfg.users.population)
-        mentors = load_mentors(cfg.users.mentors)
-        opponent = chosen_opponent(cfg)
+        mentors = load_advisors(cfg.users.mentors)
+        opponent = load_opponent(cfg)
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
     torch.set_num_threads(cfg.threads)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
 
-    with locked(folder, "run"):
+    with lock_run_folder(folder, "run"):
         return run(cfg, folder, population, mentors, opponent, meta, user)
 
 
@@ -97,7 +97,7 @@ def run(
     cfg: DictConfig,
     folder: Path,
     population: Population,
-    mentors: Mentors,
+    mentors: Advisors,
     opponent: nn.Module,
     meta: nn.Module,
     user: nn.Module,
@@ -111,11 +111,11 @@ def run(
 
     def play(people: np.ndarray, seed: int, what: str) -> Demonstrations:
         told = partial(progress, what)
-        how = {"table": Table(), "variant": cfg.users.variant, "mentors": mentors, "seed": seed}
-        return collect(people, opponent, **cfg.demonstrations, **how, progress=told)
+        how = {"table": TableSpec(), "variant": cfg.users.variant, "mentors": mentors, "seed": seed}
+        return collect_demonstrations(people, opponent, **cfg.demonstrations, **how, progress=told)
 
     data = play(training_people(cfg.seed, population), cfg.seed, "nine people play")
-    data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, Table()))
+    data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, TableSpec()))
     progress.close()
     seconds = train_both(cfg, folder, meta.to(cfg.device), user.to(cfg.device), data.to(cfg.device))
     meta.cpu(), user.cpu()
@@ -128,7 +128,7 @@ def run(
     save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
     save_user_model(folder / "user.safetensors", user, facts)
     write_json(folder / "card.json", card(cfg, scores, seconds))
-    conclude(folder, cfg, scores)
+    log_final_scores(folder, cfg, scores)
     return scores[JUDGE]
 
 
@@ -146,18 +146,18 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
     checkpoint = Checkpoint(parts, np.random.default_rng(cfg.seed), [])
     done, seconds = dict.fromkeys(models, 0), 0.0
     if cfg.resume is not None:
-        with input_errors():
+        with report_input_errors():
             facts = checkpoint.load(folder / STATE, {"done": dict, "seconds": float})
         done, seconds = facts["done"], facts["seconds"]
     began = time.perf_counter() - seconds
     for name, train in (("maml", train_maml), ("supervised", train_supervised)):
         # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
-        board = open_board(board_of(folder) / name, done[name] + 1)
+        board = open_writer(tensorboard_dir(folder) / name, done[name] + 1)
         if name == "maml" and not done[name]:
-            introduce(board, cfg)
+            log_run_header(board, cfg)
         training = train(models[name], data, **cfg[name], optimizer=optimizers[name], done=done[name])
         bar = tqdm(training, name, cfg[name].epochs, initial=done[name], unit="epoch", file=sys.stderr, disable=None)
-        with stopping(f"{name} training", folder / STATE):
+        with name_divergence(f"{name} training", folder / STATE):
             for metrics in bar:
                 epoch = metrics.pop("epoch")
                 for key, value in metrics.items():
@@ -182,9 +182,9 @@ def prediction_scores(
     """
     found: dict[str, list[dict[str, float]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
-        everybody = predictors(user, meta, inner_lr, observation[0], action[0], Table(), ahead)
+        everybody = predictors(user, meta, inner_lr, observation[0], action[0], TableSpec(), ahead)
         for name, predictor in everybody.items():
-            found.setdefault(name, []).append(judge(predictor, observation[-1], action[-1], ahead, Table()))
+            found.setdefault(name, []).append(judge(predictor, observation[-1], action[-1], ahead, TableSpec()))
     return {
         f"{name}_{measure}": float(np.mean([person[measure] for person in people]))
         for name, people in found.items()

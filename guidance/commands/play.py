@@ -19,25 +19,25 @@ from omegaconf import DictConfig
 from tensordict import TensorDict
 from torch import Tensor
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.building import build
-from airhockey_marl.experiment.command import InputError, command, input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.command import InputError, command, report_input_errors, require_counts, require_numbers
 from airhockey_marl.league.league import League
-from airhockey_marl.players.inference import steady
+from airhockey_marl.players.inference import greedy_player
 from guidance.display.window import NARROWEST, Window
 from guidance.forces.conditions import ADAPTED, Condition
 from guidance.haptics.clock import WallClock
-from guidance.haptics.open_device import at_the_device, check_device
-from guidance.haptics.safety import Limits
-from guidance.haptics.seat import Leave, Seat, leaving_when_told
+from guidance.haptics.open_device import check_device, device_session
+from guidance.haptics.safety import SafetyLimits
+from guidance.haptics.seat import Quit, RealTimePlayer, leaving_when_told
 from guidance.sessions.recording import Game, Recording
-from guidance.simulated_users import Population, Users, load_mentors, sample_people
+from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
-from guidance.study.games import Rink, Scoring
+from guidance.study.games import GameRunner, MetricsRecorder
 from guidance.study.models import Models
-from guidance.study.protocol import NO_CONDITION, Protocol, streams
-from guidance.study.provenance import chosen_conditions, chosen_models
-from guidance.study.tick_log import COLUMNS, TickLog, demonstration, overheard_guide, scene_facts
+from guidance.study.protocol import CALIBRATION_GAME, Protocol, spawn_rng_states
+from guidance.study.provenance import load_conditions, load_models
+from guidance.study.tick_log import COLUMNS, TickLog, demonstration, scene_facts, tapped_guidance
 
 KEYS = {  # those that choose a condition come before them
     "a": "make the user model yours, from what you have played without guidance",
@@ -71,14 +71,14 @@ class Play:
         opponent: int,
         lookahead_seconds: float,
         round_seconds: float,
-        seat: Seat,
+        seat: RealTimePlayer,
         serves: np.ndarray,
         folder: Path,
     ) -> None:
         self.conditions, self.models, self.opponents, self.seat = conditions, models, opponents, seat
         self.lookahead_seconds, self.round_seconds, self.folder = lookahead_seconds, round_seconds, folder
         self.opponent = range(len(opponents))[opponent]
-        self.rink = Rink(seat, steady(opponents.player(self.opponent)), Table(), serves)
+        self.rink = GameRunner(seat, greedy_player(opponents.player(self.opponent)), TableSpec(), serves)
         self.adapted: TensorDict | None = None
         self.unguided: list[tuple[Tensor, Tensor]] = []
         self.games: dict[str, Game] = {}
@@ -93,7 +93,7 @@ class Play:
             self.rink.new_games()
             while ticks is None or self.ticks < ticks:
                 self.tick()
-        except Leave:
+        except Quit:
             pass
         finally:
             self._end()
@@ -141,7 +141,7 @@ class Play:
         opponent = min(max(opponent, 0), len(self.opponents) - 1)
         if opponent != self.opponent:
             self._end()
-            self.opponent, self.rink.opponent = opponent, steady(self.opponents.player(opponent))
+            self.opponent, self.rink.opponent = opponent, greedy_player(self.opponents.player(opponent))
             self._begin(self.condition)
         self._say(f"generation {opponent} of {len(self.opponents) - 1}")
 
@@ -169,9 +169,9 @@ class Play:
 
     def _begin(self, condition: Condition) -> None:
         self.condition, table = condition, self.rink.tables.table
-        self.guide, overheard = overheard_guide(condition, self.models, self.adapted, self.lookahead_seconds)
+        self.guide, overheard = tapped_guidance(condition, self.models, self.adapted, self.lookahead_seconds)
         self.log = TickLog(overheard, table.tick, self.seat.hand)
-        self.scoring = Scoring(self.rink)
+        self.scoring = MetricsRecorder(self.rink)
         self._round_ticks, self._rounds, nth = 0, 0, len(self.games) + 1
         name = f"{nth:02d}{condition.name.replace('_', '')}"
         self.labels[name] = f"{nth:02d} {condition.label}, generation {self.opponent}"
@@ -209,7 +209,7 @@ class Play:
 
 @command("play")
 def main(cfg: DictConfig) -> None:
-    with input_errors():
+    with report_input_errors():
         require_counts(cfg, "frames_per_second", "threads")
         require_counts(cfg, "width", least=NARROWEST)
         require_counts(cfg, "seed", least=0)
@@ -223,27 +223,27 @@ def main(cfg: DictConfig) -> None:
         if ADAPTED in begin_with.guidance.models():
             raise InputError(f"condition = {begin_with.name} needs a model of you: begin with another, and press a")
         cfg.condition = None
-        conditions = {str(i + 1): condition for i, condition in enumerate(chosen_conditions(cfg))}
-        models = chosen_models(cfg)
+        conditions = {str(i + 1): condition for i, condition in enumerate(load_conditions(cfg))}
+        models = load_models(cfg)
         opponents = League.load(cfg.models.opponents)
         opponents.player(cfg.opponent)
-        limits: Limits = build(cfg.safety)
-        minds, serves = (streams(cfg.seed, [0], NO_CONDITION, purpose) for purpose in (0, 1))
+        limits: SafetyLimits = build(cfg.safety)
+        minds, serves = (spawn_rng_states(cfg.seed, [0], CALIBRATION_GAME, purpose) for purpose in (0, 1))
         person = None
         if cfg.device.kind == "simulated":
             check_variant(cfg.users.variant)
             population: Population = build(cfg.users.population)
-            people, mentors = sample_people(1, cfg.seed, population), load_mentors(cfg.users.mentors)
-            person = Users(people, minds, Table(), cfg.users.variant, mentors)
+            people, mentors = sample_people(1, cfg.seed, population), load_advisors(cfg.users.mentors)
+            person = SimulatedUsers(people, minds, TableSpec(), cfg.users.variant, mentors)
     torch.set_num_threads(cfg.threads)
-    folder, clock, table = Path(HydraConfig.get().runtime.output_dir), WallClock(), Table()
+    folder, clock, table = Path(HydraConfig.get().runtime.output_dir), WallClock(), TableSpec()
     keys = {key: f"({condition.letter}) {condition.label}" for key, condition in conditions.items()} | KEYS
     with (
         Window("Air hockey", table, cfg.width, cfg.frames_per_second, clock, keys) as window,
-        at_the_device(cfg.device, limits, person) as held,
+        device_session(cfg.device, limits, person) as held,
     ):
         window.overlay, window.pointed, window.unplugged = cfg.overlay, held.pointed, held.unplugged
-        seat = Seat(held.hand, window, clock, table.tick, cfg.breath, person)
+        seat = RealTimePlayer(held.hand, window, clock, table.tick, cfg.breath, person)
         how = cfg.guidance.lookahead, protocol.round_seconds
         play = Play(conditions, models, opponents, cfg.opponent, *how, seat, serves, folder)
         with leaving_when_told():

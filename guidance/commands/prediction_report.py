@@ -19,23 +19,23 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import (
     InputError,
     ProgressBar,
     command,
-    input_errors,
+    report_input_errors,
     require_counts,
     require_numbers,
 )
 from airhockey_marl.experiment.files import sha256, write_json, write_text
 from airhockey_marl.experiment.html import template
-from guidance.simulated_users import Population, load_mentors, sample_people
+from guidance.simulated_users import Population, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
-from guidance.study.demonstrations import collect
+from guidance.study.demonstrations import collect_demonstrations
 from guidance.study.models import Models
-from guidance.study.provenance import chosen_models, chosen_opponent
+from guidance.study.provenance import load_models, load_opponent
 from guidance.user_model.data import Demonstrations
 from guidance.user_model.evaluation import (
     Predictor,
@@ -73,26 +73,26 @@ def check(cfg: DictConfig) -> None:
     for name, least in (("ahead", 0.0), ("minutes", 0.01), ("steps", 1)):
         if not cfg[name] or not all(isinstance(value, int | float) and value >= least for value in cfg[name]):
             raise InputError(f"{name} = {list(cfg[name])} must be numbers of at least {least}")
-    most = (cfg.demonstrations.games - 1) * cfg.demonstrations.ticks * Table().tick / 60
+    most = (cfg.demonstrations.games - 1) * cfg.demonstrations.ticks * TableSpec().tick / 60
     if min(cfg.minutes) > most:
         raise InputError(f"minutes = {list(cfg.minutes)} must hold one of at most {most:.3g}, the play there is for UA")
-    require_numbers(cfg, "demonstrations.ticks", above=2 * max(cfg.ahead) / Table().tick)
+    require_numbers(cfg, "demonstrations.ticks", above=2 * max(cfg.ahead) / TableSpec().tick)
     check_variant(cfg.users.variant)
 
 
 @command("prediction_report")
 def main(cfg: DictConfig) -> None:
-    with input_errors():
+    with report_input_errors():
         check(cfg)
         population: Population = build(cfg.users.population)
-        mentors = load_mentors(cfg.users.mentors)
-        models = chosen_models(cfg)
-        opponent = chosen_opponent(cfg)
+        mentors = load_advisors(cfg.users.mentors)
+        models = load_models(cfg)
+        opponent = load_opponent(cfg)
     torch.set_num_threads(cfg.threads)
-    progress, table = ProgressBar(), Table()
+    progress, table = ProgressBar(), TableSpec()
     people = sample_people(cfg.participants, cfg.seed, population)
     sizes, how = (cfg.demonstrations.games, cfg.demonstrations.ticks), (table, cfg.users.variant, mentors, cfg.seed)
-    data = collect(people, opponent, *sizes, *how, partial(progress, "people play"))
+    data = collect_demonstrations(people, opponent, *sizes, *how, partial(progress, "people play"))
     progress("predictions", 0.0)
     found = {
         "ahead": errors_ahead(models, data, list(cfg.ahead), table),
@@ -109,13 +109,13 @@ def main(cfg: DictConfig) -> None:
     write(Path(HydraConfig.get().runtime.output_dir), found, facts)
 
 
-def known(models: Models, seen: Tensor, action: Tensor, table: Table) -> dict[str, Predictor]:
+def known(models: Models, seen: Tensor, action: Tensor, table: TableSpec) -> dict[str, Predictor]:
     """Everybody who predicts one person, knowing one game of theirs (ticks, 12), (ticks, 2)."""
     return predictors(models.user, models.meta, models.inner_lr, seen, action, table, models.ahead)
 
 
 @torch.no_grad()
-def errors_ahead(models: Models, data: Demonstrations, ahead: list[float], table: Table) -> list[dict]:
+def errors_ahead(models: Models, data: Demonstrations, ahead: list[float], table: TableSpec) -> list[dict]:
     """A row per predictor and time ahead: each measure of `judge`, and its gain over extrapolation, with intervals."""
     found: dict[tuple[str, float], list[dict[str, float]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
@@ -134,7 +134,7 @@ def errors_ahead(models: Models, data: Demonstrations, ahead: list[float], table
 
 
 @torch.no_grad()
-def everybody_by_everybody(models: Models, data: Demonstrations, table: Table) -> np.ndarray:
+def everybody_by_everybody(models: Models, data: Demonstrations, table: TableSpec) -> np.ndarray:
     """(people, people) root mean square error on column's last game of the model adapted to row's first."""
     adapted = models.adapted_to(list(zip(data.observation[:, 0], data.action[:, 0], strict=True)))
     observation = data.observation[:, -1]
@@ -155,7 +155,7 @@ def for_whom(matrix: np.ndarray) -> dict[str, dict[str, float]]:
 
 
 @torch.no_grad()
-def by_amount(models: Models, data: Demonstrations, minutes: list[float], table: Table) -> list[dict]:
+def by_amount(models: Models, data: Demonstrations, minutes: list[float], table: TableSpec) -> list[dict]:
     """Error after UA with so many minutes of the games before the last, as far as they go."""
     seen, action = (part[:, :-1].flatten(1, 2) for part in (data.observation, data.action))
     rows = []
@@ -167,14 +167,14 @@ def by_amount(models: Models, data: Demonstrations, minutes: list[float], table:
 
 
 @torch.no_grad()
-def by_steps(models: Models, data: Demonstrations, steps: list[int], table: Table) -> list[dict]:
+def by_steps(models: Models, data: Demonstrations, steps: list[int], table: TableSpec) -> list[dict]:
     """Error after UA with the first game, in so many steps."""
     seen, action = data.observation[:, 0], data.action[:, 0]
     return [{"steps": count, **_after(models, count, seen, action, data, table)} for count in steps]
 
 
 def _after(
-    models: Models, steps: int, seen: Tensor, action: Tensor, data: Demonstrations, table: Table
+    models: Models, steps: int, seen: Tensor, action: Tensor, data: Demonstrations, table: TableSpec
 ) -> dict[str, dict[str, float]]:
     """rmse and nll, with intervals, on the last games of models adapted to (people, ticks, .), one after another."""
     people = []
@@ -188,7 +188,7 @@ def _after(
 
 
 @torch.no_grad()
-def reliabilities(models: Models, data: Demonstrations, table: Table) -> dict[str, dict[str, list[float]]]:
+def reliabilities(models: Models, data: Demonstrations, table: TableSpec) -> dict[str, dict[str, list[float]]]:
     """Of each model, what its STD says in ten bins and what the errors there are, averaged over people."""
     found: dict[str, list[tuple[Tensor, Tensor]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):

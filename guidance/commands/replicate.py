@@ -27,20 +27,20 @@ from airhockey_marl.experiment.command import (
     InputError,
     ProgressBar,
     command,
-    config_of,
-    input_errors,
+    report_input_errors,
     require_counts,
     require_device,
     require_numbers,
+    resumed_config,
 )
-from airhockey_marl.experiment.files import replacing, write_json
-from airhockey_marl.experiment.parallel import HERE
-from airhockey_marl.experiment.run_folder import locked
+from airhockey_marl.experiment.files import atomic_write, write_json
+from airhockey_marl.experiment.parallel import LOCAL_CLUSTER
+from airhockey_marl.experiment.run_folder import lock_run_folder
 from guidance.simulated_users.force_response import check_variant
 from guidance.statistics.replication_report import summarise
 from guidance.study.provenance import (
+    file_hashes,
     frozen_study,
-    hashes_of,
     manifest,
 )
 from guidance.study.replication import (
@@ -54,26 +54,26 @@ from guidance.study.replication import (
 
 @command("replicate")
 def main(cfg: DictConfig) -> None:
-    with input_errors():
+    with report_input_errors():
         if cfg.resume is not None:
-            cfg = config_of(Path(cfg.resume), STATE, cfg)
+            cfg = resumed_config(Path(cfg.resume), STATE, cfg)
         check(cfg)
         studies = Studies(cfg)
     torch.set_num_threads(cfg.threads)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    with locked(folder, "run"):
+    with lock_run_folder(folder, "run"):
         command_line = " ".join(["airhockey replicate", *HydraConfig.get().overrides.task])
-        facts = manifest(cfg, hashes_of(cfg, studies.models), command_line, 0.0)
+        facts = manifest(cfg, file_hashes(cfg, studies.models), command_line, 0.0)
         facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
         write_json(folder / STATE, facts)
-        with replacing(folder / "factors.csv") as temporary:
+        with atomic_write(folder / "factors.csv") as temporary:
             studies.factors.to_csv(temporary, index_label="study")
 
         progress, began = ProgressBar(), time.perf_counter()
         missing = [batch for batch in batches_of(cfg) if not batch.file(folder).is_file()]
         played = on_ray(cfg, missing, progress) if cfg.ray else one_by_one(studies, missing, progress)
         for batch, trials in played:
-            with replacing(batch.file(folder)) as temporary:
+            with atomic_write(batch.file(folder)) as temporary:
                 trials.to_csv(temporary, index=False)
         progress.close()
         write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
@@ -96,7 +96,7 @@ def check(cfg: DictConfig) -> None:
     if not cfg.n and not (cfg.sensitivity.points and cfg.sensitivity.variants):
         raise InputError("n = 0 must be at least 1 where sensitivity.points is 0: there is nothing to do")
     if cfg.ray is not None and not isinstance(cfg.ray, str):
-        raise InputError(f"ray = {cfg.ray} must be null, {HERE}, auto or the address of a cluster, host:port")
+        raise InputError(f"ray = {cfg.ray} must be null, {LOCAL_CLUSTER}, auto or the address of a cluster, host:port")
     if cfg.ray is not None and find_spec("ray") is None:
         raise InputError(f"ray = {cfg.ray} needs what `pip install 'airhockey-haptics[ray]'` brings: there is no ray")
     for variant in (cfg.users.variant, *cfg.sensitivity.variants):

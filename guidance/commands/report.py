@@ -10,8 +10,8 @@ from pathlib import Path
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.experiment.command import InputError, command, input_errors
-from guidance.statistics.paper import summary
+from airhockey_marl.experiment.command import InputError, command, report_input_errors
+from guidance.statistics.paper import count_findings
 from guidance.statistics.report import _files, _places, gather, screen_table, write_report
 
 
@@ -19,7 +19,7 @@ from guidance.statistics.report import _files, _places, gather, screen_table, wr
 def main(cfg: DictConfig) -> None:
     """Gather the runs, write their report, and say on the screen where it is."""
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
-    with input_errors():
+    with report_input_errors():
         if not isinstance(cfg.mixed, bool):
             raise InputError(f"mixed = {cfg.mixed} must be true or false")
         group = gather(_places(cfg.runs), cfg.mixed)
@@ -32,12 +32,12 @@ def main(cfg: DictConfig) -> None:
             raise ValueError(f"beside = {cfg.beside} has the same games as runs = {cfg.runs}: {named}")
     write_report(group.trials, folder, group.manifest, beside)
     print(screen_table(group.trials, group.people))
-    counts = summary(group.comparison)
+    counts = count_findings(group.comparison)
     everything, others = counts.loc["all"], counts.loc["none"]
     print(f"\n{everything.replicated} of the paper's 38 findings replicate ({everything.tested} tested),", end=" ")
-    print(f"{everything.reversed} reversed; {others.wrongly_significant} of its 63 non-findings are significant here")
+    print(f"{everything.reversed} reversed; {others.false_positives} of its 63 non-findings are significant here")
     if beside:
-        everything = summary(beside.comparison).loc["all"]
+        everything = count_findings(beside.comparison).loc["all"]
         print(f"beside: {everything.replicated} replicate ({everything.tested} tested), {everything.reversed} reversed")
     print(f"report: {folder / 'report.html'}")
 

@@ -20,12 +20,12 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from torch import Tensor
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.building import build
-from airhockey_marl.experiment.command import command, input_errors, require_counts, require_numbers
-from airhockey_marl.experiment.files import replacing
+from airhockey_marl.experiment.command import command, report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.files import atomic_write
 from airhockey_marl.players.players import Player
-from guidance.simulated_users import Mentors, Population, Users, load_mentors, sample_people
+from guidance.simulated_users import Advisors, Population, SimulatedUsers, load_advisors, sample_people
 from guidance.simulated_users.force_response import Variant, check_variant
 from guidance.simulated_users.validation.figures import draw_places, draw_push, draw_shots, draw_speeds
 from guidance.simulated_users.validation.motor_tasks import (
@@ -37,10 +37,10 @@ from guidance.simulated_users.validation.motor_tasks import (
     timing_errors,
 )
 from guidance.simulated_users.validation.playstyles import features, recognised, told_apart
-from guidance.study.demonstrations import collect
+from guidance.study.demonstrations import collect_demonstrations
 from guidance.study.games import no_force, play_games
-from guidance.study.protocol import Protocol, streams
-from guidance.study.provenance import chosen_opponent
+from guidance.study.protocol import Protocol, spawn_rng_states
+from guidance.study.provenance import load_opponent
 from guidance.user_model.rounds import hand_speed
 
 SKILLS = (-1.5, 0.0, 1.5)  # of the people whose rounds are counted, in SD of the usual population
@@ -64,15 +64,15 @@ MEASURES = {
 
 @command("validate_users")
 def main(cfg: DictConfig) -> None:
-    with input_errors():
+    with report_input_errors():
         require_counts(cfg, "threads")
         require_counts(cfg, "laboratory", "per_style", least=2)
         require_counts(cfg, "seed", least=0)
         require_numbers(cfg, "play_seconds", least=10.0)
         check_variant(cfg.users.variant)
         population: Population = build(cfg.users.population)
-        mentors = load_mentors(cfg.users.mentors)
-        opponent = chosen_opponent(cfg)
+        mentors = load_advisors(cfg.users.mentors)
+        opponent = load_opponent(cfg)
     torch.set_num_threads(cfg.threads)
     people = sample_people(cfg.laboratory, cfg.seed, population)
     found, data = in_the_laboratory(people, cfg.users.variant, cfg.seed)
@@ -82,14 +82,14 @@ def main(cfg: DictConfig) -> None:
     skills = by_skill(population, 6 * cfg.per_style, opponent, cfg.users.variant, mentors, cfg.seed)
     table = as_table({**found, **styles, **skills})
     folder = Path(HydraConfig.get().runtime.output_dir)
-    with replacing(folder / "battery.csv") as temporary:
+    with atomic_write(folder / "battery.csv") as temporary:
         table.to_csv(temporary, index=False)
     pushed = {name: push_response(people, name, seed=cfg.seed) for name in Variant.__members__}
     names = list(population.archetypes)
     draw_speeds(data, folder / "speeds.png")
     draw_push(pushed, folder / "push.png")
-    draw_places(dict(zip(names, play, strict=True)), Table(), folder / "places.png")
-    draw_shots(dict(zip(names, play, strict=True)), Table(), folder / "shots.png")
+    draw_places(dict(zip(names, play, strict=True)), TableSpec(), folder / "places.png")
+    draw_shots(dict(zip(names, play, strict=True)), TableSpec(), folder / "shots.png")
     print(table.to_string(index=False, float_format=lambda number: f"{number:.3g}"))
     print(f"\nfigures: {folder}")
 
@@ -125,17 +125,17 @@ def at_the_table(
     seconds: float,
     opponent: Player,
     variant: str,
-    mentors: Mentors,
+    mentors: Advisors,
     seed: int,
 ) -> tuple[dict[str, np.ndarray], list[Tensor]]:
     """The measures of unguided play, and the play of each archetype (people, ticks, 12)."""
-    table = Table()
+    table = TableSpec()
     ticks, how = round(seconds / table.tick), (table, variant, mentors)
 
     def games(number: int, seed: int, population: Population, archetype: str | None):
         """Two games of each of `number` people."""
         people = sample_people(number, seed, population, archetype)
-        return collect(people, opponent, 2, ticks, *how, seed)
+        return collect_demonstrations(people, opponent, 2, ticks, *how, seed)
 
     archetypes = list(population.archetypes)
     known, unseen = ([games(per_style, seed + 100 * (k + 1), population, name) for name in archetypes] for k in (0, 1))
@@ -155,14 +155,14 @@ def at_the_table(
 
 
 def by_skill(
-    population: Population, number: int, opponent: Player, variant: str, mentors: Mentors, seed: int
+    population: Population, number: int, opponent: Player, variant: str, mentors: Advisors, seed: int
 ) -> dict[str, np.ndarray]:
     """Rounds won and shots stopped by `number` people of each of `SKILLS`, a value per person each."""
-    table, won, stopped = Table(), {}, {}
+    table, won, stopped = TableSpec(), {}, {}
     for trial, skill in enumerate(SKILLS):
         people = sample_people(number, seed + 300, replace(population, skill_mean=skill, skill_sd=0.0))
-        minds, serves = (streams(seed, range(number), SKILL_TRIAL + trial, purpose) for purpose in (0, 1))
-        users = Users(people, minds, table, variant, mentors)
+        minds, serves = (spawn_rng_states(seed, range(number), SKILL_TRIAL + trial, purpose) for purpose in (0, 1))
+        users = SimulatedUsers(people, minds, table, variant, mentors)
         results = play_games(users, opponent, no_force, GAME, table, serves).results
         won[f"rounds won, skill {skill:+.1f}"] = results["win_rate"]
         stopped[f"shots stopped, skill {skill:+.1f}"] = results["defense_rate"]

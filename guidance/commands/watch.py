@@ -22,30 +22,30 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 from tensordict import TensorDict
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import (
     InputError,
     ProgressBar,
     choices,
     command,
-    input_errors,
+    report_input_errors,
     require_counts,
     require_numbers,
 )
-from airhockey_marl.experiment.files import found_below, replacing
+from airhockey_marl.experiment.files import atomic_write, find_files
 from airhockey_marl.players.players import Player
-from guidance.display.film import NARROWEST, Scene, draw_sheet, save_film
+from guidance.display.film import NARROWEST, FilmInfo, draw_sheet, save_film
 from guidance.forces.conditions import ADAPTED, Condition
 from guidance.sessions.recording import games_in, load_json
-from guidance.simulated_users import Population, Users, load_mentors, sample_people
+from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
 from guidance.simulated_users.intention import Intention
-from guidance.study.games import Rink, no_force, play_games
+from guidance.study.games import GameRunner, no_force, play_games
 from guidance.study.models import Models
-from guidance.study.protocol import NO_CONDITION, Protocol, streams
-from guidance.study.provenance import chosen_models, chosen_opponent
-from guidance.study.tick_log import TickLog, overheard_guide, read_ticks, scene_facts
+from guidance.study.protocol import CALIBRATION_GAME, Protocol, spawn_rng_states
+from guidance.study.provenance import load_models, load_opponent
+from guidance.study.tick_log import TickLog, read_ticks, scene_facts, tapped_guidance
 
 LONGEST = 60  # s: all pictures of a film are in memory together
 MOST_SKILL = 4.0  # standard deviations
@@ -53,14 +53,14 @@ MOST_SKILL = 4.0  # standard deviations
 
 @command("watch")
 def main(cfg: DictConfig) -> None:
-    with input_errors():
-        check(cfg, round(1 / Table().tick))
+    with report_input_errors():
+        check(cfg, round(1 / TableSpec().tick))
         again = None if cfg.run is None else recorded(Path(cfg.run), cfg.game, cfg.start, cfg.seconds)
     torch.set_num_threads(cfg.threads)
     progress = ProgressBar()
     ticks, facts = again if again is not None else simulated(cfg, progress)
-    scene = Scene(
-        table=Table(),
+    scene = FilmInfo(
+        table=TableSpec(),
         title=facts["title"],
         player=facts["player"],
         opponent=facts["opponent"],
@@ -70,13 +70,13 @@ def main(cfg: DictConfig) -> None:
         simulated="wanted_x" in ticks,
     )
     folder, tick = Path(HydraConfig.get().runtime.output_dir), scene.table.tick
-    with replacing(folder / "watch.csv") as temporary:
+    with atomic_write(folder / "watch.csv") as temporary:
         ticks.to_csv(temporary, index=False, float_format="%.6g")
-    with replacing(folder / "watch.png") as temporary:
+    with atomic_write(folder / "watch.png") as temporary:
         draw_sheet(ticks, scene).save(temporary)
     every = round(1 / (tick * cfg.frames_per_second))
     shown = 10 * round(100 * every * tick / cfg.speed)  # ms; a GIF counts in hundredths of a second
-    with replacing(folder / "watch.gif") as temporary:
+    with atomic_write(folder / "watch.gif") as temporary:
         save_film(temporary, ticks, scene, every, shown, partial(progress, "film"))
     progress.close()
     last = ticks.iloc[-1]
@@ -100,7 +100,7 @@ def recorded(run: Path, game: str | None, start: float, seconds: float) -> tuple
         file = run.with_suffix(".tsv")
         facts = load_json(run.with_suffix(".json"))["Facts"]
     else:
-        folders = sorted({file.parent for file in found_below([run], "*_beh.json")})
+        folders = sorted({file.parent for file in find_files([run], "*_beh.json")})
         if len(folders) > 1:
             raise ValueError(f"run = {run} has the games of several people: name the folder of one")
         games = games_in(folders[0])
@@ -120,23 +120,23 @@ def recorded(run: Path, game: str | None, start: float, seconds: float) -> tuple
 
 def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Let a simulated person play; the game, and what its film says about it."""
-    table = Table()
-    with input_errors():
+    table = TableSpec()
+    with report_input_errors():
         condition: Condition = build(cfg.condition)
         protocol: Protocol = build(cfg.study)
-        person, mentors = chosen_person(cfg), load_mentors(cfg.users.mentors)
-        models = chosen_models(cfg)
-        opponent = chosen_opponent(cfg)
+        person, mentors = chosen_person(cfg), load_advisors(cfg.users.mentors)
+        models = load_models(cfg)
+        opponent = load_opponent(cfg)
     adapted = None
 
-    def seat(game: int) -> tuple[Users, np.ndarray]:
+    def seat(game: int) -> tuple[SimulatedUsers, np.ndarray]:
         """The person, and the table's stream, as in a study's game."""
-        minds, serves = (streams(cfg.seed, [0], game, purpose) for purpose in (0, 1))
-        return Users(person, minds, table, cfg.users.variant, mentors), serves
+        minds, serves = (spawn_rng_states(cfg.seed, [0], game, purpose) for purpose in (0, 1))
+        return SimulatedUsers(person, minds, table, cfg.users.variant, mentors), serves
 
     if ADAPTED in condition.guidance.models():
         progress("unscored game", 0.0)
-        users, serves = seat(NO_CONDITION)
+        users, serves = seat(CALIBRATION_GAME)
         game = play_games(users, opponent, no_force, protocol, table, serves, keep_demonstrations=True)
         adapted = models.adapted_to(game.demonstrations)
     users, serves = seat(ascii_lowercase.index(condition.letter))
@@ -183,13 +183,13 @@ def chosen_person(cfg: DictConfig) -> np.ndarray:
 
 @torch.no_grad()
 def play(
-    users: Users,
+    users: SimulatedUsers,
     condition: Condition,
     models: Models,
     adapted: TensorDict | None,
     opponent: Player,
     lookahead_seconds: float,
-    table: Table,
+    table: TableSpec,
     serves: np.ndarray,
     seconds: float,
 ) -> pd.DataFrame:
@@ -203,8 +203,8 @@ def play(
         A row per tick, see `guidance.study.tick_log.COLUMNS`, and of the person where they want the hand (wanted_x and _y, in
         m of the hand) and their intention.
     """
-    guide, overheard = overheard_guide(condition, models, adapted, lookahead_seconds)
-    rink, log = Rink(users, opponent, table, serves), TickLog(overheard, table.tick)
+    guide, overheard = tapped_guidance(condition, models, adapted, lookahead_seconds)
+    rink, log = GameRunner(users, opponent, table, serves), TickLog(overheard, table.tick)
     rink.new_games()
     for _ in range(max(1, round(seconds / table.tick))):
         (wanted_x, wanted_y), intention = users.goal[0], Intention(users.intention[0]).name

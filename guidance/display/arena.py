@@ -7,12 +7,12 @@ import numpy as np
 import pygame
 from PIL import Image, ImageDraw
 
-from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, Table, reach
+from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec, action_range
 from airhockey_marl.envs.rendering import COLOURS, FELT, SMOOTHING, View, empty_table
 from guidance.display.drawing import Place, picture_of, smooth_polygon
-from guidance.display.film import ARROW, CORNERS, FORCE, PAPER, TARGETS, WANTED, Marks
-from guidance.forces.conditions import Target
-from guidance.haptics.seat import Moment
+from guidance.display.film import ARROW, CORNERS, FORCE, PAPER, TARGETS, WANTED, SceneDrawer
+from guidance.forces.conditions import Prediction
+from guidance.haptics.seat import DisplayState
 
 TRAIL = 15  # pictures of the puck's way
 LEAP = 0.4  # m from picture to picture: no puck is so fast, it was served
@@ -27,9 +27,9 @@ class Arena:
         marks: of the models' targets, by model.
     """
 
-    def __init__(self, table: Table, width: int) -> None:
+    def __init__(self, table: TableSpec, width: int) -> None:
         self.view, self.table = View(table, width), table
-        self.middle, self.half = reach(table)
+        self.middle, self.half = action_range(table)
         self.scale = self.view.scale / SMOOTHING  # pixels per m
         self._table = picture_of(empty_table(self.view))
         self.size = self._table.get_size()
@@ -53,7 +53,7 @@ class Arena:
         place = (np.array(pixel) - origin) / self.scale * np.array([1.0, -1.0])
         return (place - self.middle) / self.half
 
-    def draw(self, surface: pygame.Surface, moment: Moment, overlay: bool, force: bool) -> None:
+    def draw(self, surface: pygame.Surface, moment: DisplayState, overlay: bool, force: bool) -> None:
         """Draw a moment, with the models' targets if `overlay` says so, and the force if `force` does."""
         surface.blit(self._table, (0, 0))
         if moment.state is None:
@@ -83,7 +83,7 @@ class Arena:
             for start, end in pairwise(self._way):
                 pygame.draw.aaline(surface, colour, start, end, 3)
 
-    def _draw_target(self, surface: pygame.Surface, model: str, target: Target) -> None:
+    def _draw_target(self, surface: pygame.Surface, model: str, target: Prediction) -> None:
         mean, std = target.mean[0].numpy(), target.std[0].numpy()
         box = pygame.Rect((0, 0), 2 * self.half * std * self.scale)
         if min(box.size) >= 3:
@@ -120,5 +120,5 @@ class Arena:
         far = max(abs(number) for corner in CORNERS[model] for number in corner) * self.view.scale / 400 + 9
         side = SMOOTHING * round(2 * far / SMOOTHING)
         image = Image.new("RGBA", (side, side), (*PAPER, 0))
-        Marks(image, self.view.scale).target((side / 2, side / 2), model, TARGETS[model])
+        SceneDrawer(image, self.view.scale).target((side / 2, side / 2), model, TARGETS[model])
         return picture_of(image)

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
-from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, Table, reach
+from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec, action_range
 from airhockey_marl.envs.rendering import COLOURS, FELT, LINE, RIM, SMOOTHING, View, draw_bodies, empty_table
 from guidance.simulated_users.arm import HAND_REACH
 
@@ -47,7 +47,7 @@ MOMENTS, APART = 6, 20  # of a sheet, and ticks between them
 
 
 @dataclass(frozen=True)
-class Scene:
+class FilmInfo:
     """What stays the same from picture to picture.
 
     Attributes:
@@ -59,7 +59,7 @@ class Scene:
         simulated: the person is a simulated one, whose wishes are known.
     """
 
-    table: Table
+    table: TableSpec
     title: str
     player: str
     opponent: str
@@ -69,7 +69,7 @@ class Scene:
     simulated: bool = True
 
 
-class Marks:
+class SceneDrawer:
     """Draws marks on a picture of `scale` pixels per m, at places in pixels."""
 
     def __init__(self, image: Image.Image, scale: float) -> None:
@@ -122,7 +122,7 @@ def _mix(colour: Colour, ground: Colour, part: float) -> Colour:
     return tuple(round(part * a + (1 - part) * b) for a, b in zip(colour, ground, strict=True))
 
 
-def _colour(model: str, scene: Scene) -> Colour:
+def _colour(model: str, scene: FilmInfo) -> Colour:
     """Of a target; pale where no force comes from it."""
     return TARGETS[model] if model in scene.used else _mix(TARGETS[model], FELT, 0.4)
 
@@ -131,12 +131,12 @@ def _pair(now: pd.Series, name: str) -> np.ndarray:
     return np.array([now[f"{name}_x"], now[f"{name}_y"]], dtype=float)
 
 
-def draw_play(ticks: pd.DataFrame, index: int, scene: Scene, width: int) -> Image.Image:
+def draw_play(ticks: pd.DataFrame, index: int, scene: FilmInfo, width: int) -> Image.Image:
     """The table at one tick with all that is wanted, proposed and pushed, `width` pixels wide."""
     now, view = ticks.iloc[index], View(scene.table, width)
     image = empty_table(view)
-    marks = Marks(image, view.scale)
-    middle, half = reach(scene.table)
+    marks = SceneDrawer(image, view.scale)
+    middle, half = action_range(scene.table)
     recent = ticks.iloc[max(index - TRAIL, 0) : index + 1]
     way = recent.loc[recent["round"] == now["round"], ["puck_x", "puck_y"]].to_numpy()
     marks.line([view.pixel(*place) for place in way], _mix(COLOURS[PUCK], FELT, 0.35), 3)
@@ -162,7 +162,7 @@ def draw_play(ticks: pd.DataFrame, index: int, scene: Scene, width: int) -> Imag
     return image.reduce(SMOOTHING)
 
 
-def draw_moment(ticks: pd.DataFrame, index: int, scene: Scene) -> Image.Image:
+def draw_moment(ticks: pd.DataFrame, index: int, scene: FilmInfo) -> Image.Image:
     """One picture of the film: how it stands, the table, and what the marks mean."""
     size = max(12, round(scene.width / 57))
     standing = _draw_standing(ticks.iloc[index], scene.title, scene.width, size)
@@ -177,7 +177,7 @@ def _leading_to_a_goal(ticks: pd.DataFrame) -> np.ndarray:
     return np.linspace(max(last - (MOMENTS - 1) * APART, 0), last, MOMENTS).round().astype(int)
 
 
-def draw_sheet(ticks: pd.DataFrame, scene: Scene) -> Image.Image:
+def draw_sheet(ticks: pd.DataFrame, scene: FilmInfo) -> Image.Image:
     """Six moments, the last of which is a goal if there was one."""
     wide, gap = 2 * (3 * scene.width // 4), scene.width // 200
     width, size = wide // 2 - 2 * gap, max(12, round(wide / 80))
@@ -196,7 +196,7 @@ def draw_sheet(ticks: pd.DataFrame, scene: Scene) -> Image.Image:
 def save_film(
     path: Path,
     ticks: pd.DataFrame,
-    scene: Scene,
+    scene: FilmInfo,
     every: int,
     milliseconds: int,
     progress: Callable[[float], None] = lambda share: None,
@@ -269,11 +269,11 @@ def _draw_standing(now: pd.Series, title: str, width: int, size: int) -> Image.I
 
 
 @lru_cache(maxsize=4)
-def _draw_legend(scene: Scene, width: int, size: int, scale: float) -> Image.Image:
+def _draw_legend(scene: FilmInfo, width: int, size: int, scale: float) -> Image.Image:
     """What the marks mean in pictures of `scale` pixels per m before they are scaled down."""
     row, columns = round(1.8 * size), (0, 0.29 * width, 0.64 * width)
     image = Image.new("RGB", (SMOOTHING * width, SMOOTHING * (3 * row + size // 2)), PAPER)
-    marks, unit = Marks(image, scale), scale / 400
+    marks, unit = SceneDrawer(image, scale), scale / 400
 
     def paddle(at: Pixel, seat: int) -> None:
         marks.disc(at, 8, COLOURS[seat])

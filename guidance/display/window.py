@@ -7,14 +7,14 @@ from typing import Self
 import numpy as np
 import pygame
 
-from airhockey_marl.envs.physics import LEFT, RIGHT, Table
+from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
 from airhockey_marl.envs.rendering import COLOURS
 from guidance.display.arena import Arena
 from guidance.display.drawing import forget, letters, veil, write
 from guidance.display.film import FORCE, GREY, INK, PAPER
 from guidance.display.pages import Items, Page
 from guidance.haptics.clock import Clock
-from guidance.haptics.seat import Leave, Moment
+from guidance.haptics.seat import DisplayState, Quit
 
 HINT = "h help   space pause   esc leave"  # at the foot
 BAR, FOOT, EDGE = 54, 54, 16  # px
@@ -44,7 +44,7 @@ class Window:
     def __init__(
         self,
         title: str,
-        table: Table,
+        table: TableSpec,
         width: int,
         frames_per_second: int,
         clock: Clock,
@@ -94,7 +94,7 @@ class Window:
         x, y = pygame.mouse.get_pos()
         self.pointed(self.arena.action_at((x, y - BAR)))
 
-    def frame(self, moment: Moment) -> list[str]:
+    def frame(self, moment: DisplayState) -> list[str]:
         """Show a moment; returns the keys pressed since the last one, but those that are the window's own.
 
         Raises:
@@ -167,7 +167,7 @@ class Window:
                     continue
                 if event.key == pygame.K_ESCAPE:
                     if not text:
-                        raise Leave
+                        raise Quit
                     text = ""
                     continue
                 if event.key in (pygame.K_RETURN, pygame.K_KP_ENTER):
@@ -197,7 +197,7 @@ class Window:
         away = escape and any(event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE for event in pressed)
         if self._leave or away:
             self._leave = False
-            raise Leave
+            raise Quit
         return pressed
 
     def _take(self) -> list[str]:
@@ -246,7 +246,7 @@ class Window:
         if self.next_frame < now:  # pictures that were missed are not made up for
             self.next_frame = now
 
-    def _draw_bar(self, moment: Moment) -> None:
+    def _draw_bar(self, moment: DisplayState) -> None:
         middle, line = self.size[0] / 2, BAR / 2
         write(self.surface, moment.title, (EDGE, line), 19, INK, bold=True)
         write(self.surface, str(moment.won), (middle - 16, line), 26, COLOURS[LEFT], True, "midright")
@@ -259,7 +259,7 @@ class Window:
         minutes, seconds = divmod(int(moment.seconds), 60)
         write(self.surface, f"{minutes}:{seconds:02d}", (self.size[0] - EDGE, line), 19, INK, True, "midright")
 
-    def _draw_foot(self, moment: Moment) -> None:
+    def _draw_foot(self, moment: DisplayState) -> None:
         line, left, newtons = self.size[1] - FOOT / 2, EDGE + 110, hypot(*moment.force)
         if self.shows_force:
             write(self.surface, f"force {newtons:.1f} N", (EDGE, line), 14, FORCE if newtons else FADED, bold=True)

@@ -15,7 +15,7 @@ from torch import Generator, Tensor, nn
 from torch.nn.functional import mse_loss
 from tqdm import trange
 
-from guidance.user_model.maml import adapt_each, forward, meta_loss, parameters
+from guidance.user_model.maml import adapt_stacked, forward, meta_loss, parameters
 
 Points = tuple[Tensor, Tensor]
 """x (curves, n, 1) and y (curves, n, 1)."""
@@ -62,7 +62,7 @@ def errors_after(model: nn.Module, steps: list[int], curves: int = 600, seed: in
     demo, valid = sinusoids(curves, Generator().manual_seed(seed), valid=100)
     found = {}
     for count in steps:
-        adapted = adapt_each(params, loss, demo, INNER_LR, count) if count else params.expand(curves)
+        adapted = adapt_stacked(params, loss, demo, INNER_LR, count) if count else params.expand(curves)
         found[count] = torch.vmap(loss)(adapted, valid).mean().item()
     return found
 

@@ -17,10 +17,10 @@ import numpy as np
 import torch
 from torch import Generator, Tensor, nn
 
-from guidance.forces.equations import combine, lookahead, similarity_weight, spring_force
+from guidance.forces.equations import combine, lookahead_state, similarity_weight, spring_force
 from guidance.study.metrics import disagreement
 from guidance.user_model.loss import prediction_loss
-from guidance.user_model.maml import adapt_each, forward, forward_each, meta_loss, parameters
+from guidance.user_model.maml import adapt_stacked, forward, forward_stacked, meta_loss, parameters
 
 TICK, SUBSTEPS = 0.02, 10  # s, and steps of the arm in one
 STIFFNESS, LIMIT, LOOKAHEAD = 40.0, 3.0, 0.1  # N/m, N, s: K T_lookahead is 0.8 of the least damping of a hand, 5 N s/m
@@ -137,10 +137,10 @@ def guidances(model: nn.Module, adapted) -> dict:
     """The guidances by name: states (n, 8) -> forces (n, 2)."""
 
     def oahg(state: Tensor) -> Tensor:  # toward where the point will be
-        return spring_force(state[:, :2], lookahead(state, LOOKAHEAD)[:, 4:6], STIFFNESS, LIMIT)
+        return spring_force(state[:, :2], lookahead_state(state, LOOKAHEAD)[:, 4:6], STIFFNESS, LIMIT)
 
     def uphg(state: Tensor) -> Tensor:  # toward where this person will have the hand
-        mean, _ = forward_each(model, adapted, state[:, None])
+        mean, _ = forward_stacked(model, adapted, state[:, None])
         return spring_force(state[:, :2], mean[:, 0], STIFFNESS, LIMIT)
 
     def both(state: Tensor) -> Tensor:
@@ -160,8 +160,8 @@ def prediction_errors(model: nn.Module, adapted, game: dict[str, Tensor]) -> dic
     def error(mean: Tensor) -> float:
         return (mean - game["action"]).square().sum(-1).mean().sqrt().item()
 
-    said = forward_each(model, adapted, game["state"])[0]
-    neighbours = forward_each(model, adapted[torch.arange(len(adapted)) - 1], game["state"])[0]
+    said = forward_stacked(model, adapted, game["state"])[0]
+    neighbours = forward_stacked(model, adapted[torch.arange(len(adapted)) - 1], game["state"])[0]
     return {"before UA": error(model(game["state"])[0]), "after": error(said), "somebody else's": error(neighbours)}
 
 
@@ -179,7 +179,7 @@ def run(seed: int = 0, seconds: float = 60.0) -> tuple[dict[str, float], dict[st
     demo = play(people, paths(PARTICIPANTS, 1500, generator))
     with torch.no_grad():
         data = demo["state"], demo["action"]
-        adapted = adapt_each(parameters(model), partial(loss, model), data, INNER_LR)
+        adapted = adapt_stacked(parameters(model), partial(loss, model), data, INNER_LR)
     path = paths(PARTICIPANTS, round(seconds / TICK), generator)
     found = {name: play(people, path, guidance) for name, guidance in guidances(model, adapted).items()}
     measures = {name: {key: game[key].numpy() for key in ("error", "disagreement")} for name, game in found.items()}

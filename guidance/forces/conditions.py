@@ -18,14 +18,14 @@ from guidance.forces.equations import combine, similarity_weight, spring_force, 
 OPTIMAL, USER, ADAPTED = "optimal", "user", "adapted"  # the models: OAHG's, UPHG's without UA, UPHG's with UA
 
 
-class Target(NamedTuple):
+class Prediction(NamedTuple):
     """What a model says at the looked-ahead state: mean and STD (..., 2) of the action."""
 
     mean: Tensor
     std: Tensor
 
 
-class Guided(NamedTuple):
+class GuidanceOutput(NamedTuple):
     """A guidance's answer: the force (..., 2) in N, and the weights (...) that went into it, where it has them."""
 
     force: Tensor
@@ -41,7 +41,7 @@ class Guidance(Protocol):
         """Names of the models whose targets it reads."""
         ...
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided: ...
+    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput: ...
 
 
 @dataclass(frozen=True)
@@ -92,12 +92,12 @@ class NoGuidance:
     def models(self) -> frozenset[str]:
         return frozenset()
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
-        return Guided(torch.zeros_like(action))
+    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
+        return GuidanceOutput(torch.zeros_like(action))
 
 
 @dataclass(frozen=True)
-class Toward:
+class SpringGuidance:
     """OAHG or UPHG: a spring toward one model's action (Eq. 4), weighed by its confidence with UT (Eq. 5).
 
     Attributes:
@@ -116,7 +116,7 @@ class Toward:
     def models(self) -> frozenset[str]:
         return frozenset({self.model})
 
-    def pull(self, action: Tensor, target: Target) -> tuple[Tensor, Tensor | None]:
+    def pull(self, action: Tensor, target: Prediction) -> tuple[Tensor, Tensor | None]:
         """The force (..., 2) toward a target, whichever model it is from, and W_unc (...), or None without UT."""
         force = self.spring.force(action, target.mean)
         if self.uncertainty is None:
@@ -124,17 +124,21 @@ class Toward:
         weight = uncertainty_weight(target.std, self.uncertainty.low, self.uncertainty.high)
         return weight.unsqueeze(-1) * force, weight
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
+    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
         force, weight = self.pull(action, targets[self.model])
-        return Guided(force, w_unc_optimal=weight) if self.model == OPTIMAL else Guided(force, w_unc_user=weight)
+        return (
+            GuidanceOutput(force, w_unc_optimal=weight)
+            if self.model == OPTIMAL
+            else GuidanceOutput(force, w_unc_user=weight)
+        )
 
 
 @dataclass(frozen=True)
-class Combined:
+class CombinedGuidance:
     """CombHG: the mean of OAHG's and UPHG's forces (Eq. 6), weighed by their agreement with SC (Eq. 7)."""
 
-    optimal: Toward
-    user: Toward
+    optimal: SpringGuidance
+    user: SpringGuidance
     similarity: bool
 
     def models(self) -> frozenset[str]:
@@ -148,14 +152,14 @@ class Combined:
         weight = similarity_weight(optimal, user)
         return weight.unsqueeze(-1) * force, weight
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
+    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
         optimal, user = self.optimal(action, targets), self.user(action, targets)
         force, weight = self.join(optimal.force, user.force)
-        return Guided(force, optimal.w_unc_optimal, user.w_unc_user, weight)
+        return GuidanceOutput(force, optimal.w_unc_optimal, user.w_unc_user, weight)
 
 
 @dataclass(frozen=True)
-class Product:
+class ProductGuidance:
     """Not the paper's: one spring toward the product of the models' Gaussians, the more precise of which says more.
 
     So one would combine two independent measurements of the same action; per axis,
@@ -169,15 +173,15 @@ class Product:
     def models(self) -> frozenset[str]:
         return frozenset({self.optimal, self.user})
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
+    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
         optimal, user = targets[self.optimal], targets[self.user]
         precision, other = optimal.std.square().reciprocal(), user.std.square().reciprocal()
         mean = (optimal.mean * precision + user.mean * other) / (precision + other)
-        return Guided(self.spring.force(action, mean))
+        return GuidanceOutput(self.spring.force(action, mean))
 
 
 @dataclass(frozen=True)
-class Blended:
+class BlendedGuidance:
     """Not the paper's: the two forces in the proportion of their models' confidence.
 
     CombHG with UT halves the force of the one that knows when the other does not; here the weights W_unc (Eq. 5) say
@@ -185,8 +189,8 @@ class Blended:
     F = max(W_o, W_u) (W_o F_o + W_u F_u) / (W_o + W_u).
     """
 
-    optimal: Toward
-    user: Toward
+    optimal: SpringGuidance
+    user: SpringGuidance
 
     def __post_init__(self) -> None:
         for name in ("optimal", "user"):
@@ -196,12 +200,12 @@ class Blended:
     def models(self) -> frozenset[str]:
         return self.optimal.models() | self.user.models()
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
+    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
         (optimal, w_optimal), (user, w_user) = (
             part.pull(action, targets[part.model]) for part in (self.optimal, self.user)
         )  # each force is weighed already
         strength = torch.maximum(w_optimal, w_user) / (w_optimal + w_user).clamp(min=1e-12)
-        return Guided(strength.unsqueeze(-1) * (optimal + user), w_optimal, w_user)
+        return GuidanceOutput(strength.unsqueeze(-1) * (optimal + user), w_optimal, w_user)
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 
 
-def lookahead(state: Tensor, seconds: float) -> Tensor:
+def lookahead_state(state: Tensor, seconds: float) -> Tensor:
     """Moves every body along its current velocity: x_lookahead of section 3.3.
 
     Nothing stops a body on its way: walls, contacts and friction are left out, as in the paper.

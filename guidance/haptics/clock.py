@@ -24,7 +24,7 @@ class WallClock:
             time.sleep(seconds)
 
 
-class HurriedClock:
+class SimulatedClock:
     """Time that passes only by waiting, and at once: for participants who are computed."""
 
     def __init__(self) -> None:

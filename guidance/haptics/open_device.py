@@ -12,17 +12,17 @@ from guidance.haptics.devices import DeviceError
 from guidance.haptics.devices.gamepad import Gamepad, open_gamepad
 from guidance.haptics.devices.mouse import Mouse
 from guidance.haptics.devices.simulated import Simulated
-from guidance.haptics.safety import Limits
-from guidance.haptics.seat import Hand
-from guidance.haptics.servo import Inline, Servo
-from guidance.simulated_users import Users
+from guidance.haptics.safety import SafetyLimits
+from guidance.haptics.seat import HapticHand
+from guidance.haptics.servo import InProcessServo, ServoProcess
+from guidance.simulated_users import SimulatedUsers
 from guidance.simulated_users.arm import HAND_REACH
 
 KINDS = ("mouse", "gamepad", "simulated", "forcedimension")
 
 
 @dataclass(frozen=True)
-class Held:
+class OpenDevice:
     """A hand, and what a window has to tell it.
 
     Attributes:
@@ -30,7 +30,7 @@ class Held:
         unplugged: takes the number of a gamepad that is gone.
     """
 
-    hand: Hand
+    hand: HapticHand
     pointed: Callable[[np.ndarray], None] = lambda action: None
     unplugged: Callable[[int], None] = lambda number: None
 
@@ -53,7 +53,9 @@ def check_device(device: DictConfig) -> None:
 
 
 @contextmanager
-def at_the_device(device: DictConfig, limits: Limits, person: Users | None = None) -> Iterator[Held]:
+def device_session(
+    device: DictConfig, limits: SafetyLimits, person: SimulatedUsers | None = None
+) -> Iterator[OpenDevice]:
     """Open a hand, see `open_hand`, and let go of it whatever happens.
 
     Raises:
@@ -69,7 +71,7 @@ def at_the_device(device: DictConfig, limits: Limits, person: Users | None = Non
         held.hand.close()
 
 
-def open_hand(device: DictConfig, limits: Limits, person: Users | None = None) -> Held:
+def open_hand(device: DictConfig, limits: SafetyLimits, person: SimulatedUsers | None = None) -> OpenDevice:
     """Open a device and put the safety layer before it.
 
     Args:
@@ -83,10 +85,10 @@ def open_hand(device: DictConfig, limits: Limits, person: Users | None = None) -
     options = {key: value for key, value in OmegaConf.to_container(device).items() if key != "kind"}
     if device.kind == "mouse":
         mouse = Mouse(**options)
-        return Held(Inline(mouse, limits), pointed=lambda action: mouse.point(*(HAND_REACH * action)))
+        return OpenDevice(InProcessServo(mouse, limits), pointed=lambda action: mouse.point(*(HAND_REACH * action)))
     if device.kind == "gamepad":
         pad = Gamepad(open_gamepad(options.pop("index")), limits.force, **options)
-        return Held(Inline(pad, limits), unplugged=pad.unplugged)
+        return OpenDevice(InProcessServo(pad, limits), unplugged=pad.unplugged)
     if device.kind == "simulated":
-        return Held(Inline(Simulated(person), limits))
-    return Held(Servo(("guidance.haptics.devices.forcedimension", "ForceDimension", options), limits))
+        return OpenDevice(InProcessServo(Simulated(person), limits))
+    return OpenDevice(ServoProcess(("guidance.haptics.devices.forcedimension", "ForceDimension", options), limits))

@@ -13,7 +13,7 @@ NONE: Pair = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
-class Limits:
+class SafetyLimits:
     """What a force on a hand, and the hand itself, must keep to.
 
     Attributes:
@@ -44,7 +44,7 @@ class Limits:
                 raise ValueError(f"safety.{name} = {value} must be a finite number {allowed}")
 
 
-def within(x: float, y: float, most: float) -> Pair:
+def clip_norm(x: float, y: float, most: float) -> Pair:
     """The vector (x, y), if it is longer than `most` shortened to it; nothing if it is not finite.
 
     The norm of what is returned is never above `most`, not by a rounding either.
@@ -74,7 +74,7 @@ class Safety:
         fault: why there is no force, in words; None while there may be one.
     """
 
-    def __init__(self, limits: Limits) -> None:
+    def __init__(self, limits: SafetyLimits) -> None:
         self.limits, self.fault = limits, None
         self._force = NONE
         self._live = 0.0  # s in which a force could act since the start, the last grip or the last release
@@ -103,15 +103,15 @@ class Safety:
             self._live = 0.0
         elif age <= limits.stale_after:
             self._live = min(self._live + seconds, limits.soft_start)
-            x, y = within(force[0], force[1], limits.force)
+            x, y = clip_norm(force[0], force[1], limits.force)
             if self._live < limits.soft_start:
                 share = self._live / limits.soft_start
                 x, y = x * share, y * share
         was_x, was_y = self._force
         most = limits.slew * seconds
         if hypot(x - was_x, y - was_y) > most:
-            change_x, change_y = within(x - was_x, y - was_y, most)
-            x, y = within(was_x + change_x, was_y + change_y, limits.force)
+            change_x, change_y = clip_norm(x - was_x, y - was_y, most)
+            x, y = clip_norm(was_x + change_x, was_y + change_y, limits.force)
         self._force = x, y
         return self._force
 

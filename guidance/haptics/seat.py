@@ -1,6 +1,6 @@
 """The left seat in real time: a person with a hand at a device, and a screen before them.
 
-`Seat` is what a game asks of its participants, for one person; a game does not know whether people are computed or sit
+`RealTimePlayer` is what a game asks of its participants, for one person; a game does not know whether people are computed or sit
 there. A tick begins with a look at the table and at the hand, the force is on its way some milliseconds later, and is
 held until the next tick is due; in between the screen is drawn.
 """
@@ -14,10 +14,10 @@ from typing import Protocol
 
 import numpy as np
 
-from guidance.forces.conditions import Target
+from guidance.forces.conditions import Prediction
 from guidance.haptics.clock import Clock
 from guidance.haptics.devices import Pair
-from guidance.simulated_users import Users
+from guidance.simulated_users import SimulatedUsers
 from guidance.simulated_users.arm import HAND_REACH
 
 SERVO_STEP = 0.001  # s: what a virtual device's time is counted in
@@ -25,7 +25,7 @@ PATIENCE = 0.05  # s that a picture waits at most
 NO_FORCE = (0.0, 0.0)
 
 
-class Leave(BaseException):
+class Quit(BaseException):
     """The person wants to go. As KeyboardInterrupt, nothing takes it for an error, wherever it comes."""
 
 
@@ -34,7 +34,7 @@ def leaving_when_told() -> Iterator[None]:
     """In this block, SIGTERM and SIGINT are the person's wish to go: the game is saved, and the device let go of."""
 
     def leave(signum: int, frame: object) -> None:
-        raise Leave
+        raise Quit
 
     before = {number: signal.signal(number, leave) for number in (signal.SIGTERM, signal.SIGINT)}
     try:
@@ -44,7 +44,7 @@ def leaving_when_told() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-class Hand(Protocol):
+class HapticHand(Protocol):
     """A hand at a device, behind the safety layer; see `guidance.haptics.servo`."""
 
     @property
@@ -71,7 +71,7 @@ class Hand(Protocol):
 
 
 @dataclass
-class Moment:
+class DisplayState:
     """What there is to show of a game.
 
     Attributes:
@@ -90,8 +90,8 @@ class Moment:
     share: float = 0.0
     hand: np.ndarray = field(default_factory=lambda: np.zeros(2))
     force: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    optimal: Target | None = None
-    predicted: Target | None = None
+    optimal: Prediction | None = None
+    predicted: Prediction | None = None
     weights: dict[str, float] = field(default_factory=dict)
     won: int = 0
     lost: int = 0
@@ -119,7 +119,7 @@ class Screen(Protocol):
         """Take note of where the pointer is and of what was pressed."""
         ...
 
-    def frame(self, moment: Moment) -> list[str]:
+    def frame(self, moment: DisplayState) -> list[str]:
         """Show a moment; returns the keys pressed since the last one.
 
         Raises:
@@ -128,7 +128,7 @@ class Screen(Protocol):
         ...
 
 
-class Dark:
+class NullDisplay:
     """No screen."""
 
     next_frame, cost, attentive = inf, 0.0, True
@@ -136,11 +136,11 @@ class Dark:
     def poll(self) -> None:
         pass
 
-    def frame(self, moment: Moment) -> list[str]:
+    def frame(self, moment: DisplayState) -> list[str]:
         return []
 
 
-class Seat:
+class RealTimePlayer:
     """One person, as `guidance.study.games.Participants` has them.
 
     Args:
@@ -159,18 +159,18 @@ class Seat:
 
     def __init__(
         self,
-        hand: Hand,
+        hand: HapticHand,
         screen: Screen,
         clock: Clock,
         tick_seconds: float,
         breath: float = 1.0,
-        person: Users | None = None,
+        person: SimulatedUsers | None = None,
     ) -> None:
         self.hand, self.screen, self.clock, self.person = hand, screen, clock, person
         self.tick_seconds, self.breath = tick_seconds, breath
         self._steps = round(tick_seconds / SERVO_STEP)
         self.mark: Callable[[str], None] = lambda what: None
-        self.moment, self.keys, self.latencies = Moment(), [], []
+        self.moment, self.keys, self.latencies = DisplayState(), [], []
         self.late, self.pauses, self.faults = 0, 0, []
         self._due = self._looked = clock.now()
         self._first, self._nothing = True, np.zeros(12)

@@ -1,7 +1,7 @@
 """The servo: a thousand times a second, from the newest force the guidance asked for to the one that acts on the hand.
 
 The guidance speaks every 20 ms. In between the force goes in a straight line from the one before to the newest, through
-the safety layer, to the device. `Inline` does this for a virtual device in time that passes only as it is told; `Servo`
+the safety layer, to the device. `InProcessServo` does this for a virtual device in time that passes only as it is told; `ServoProcess`
 in a process of its own, in real time, that knows nothing of the game: it stops by itself when nobody speaks any more.
 """
 
@@ -26,7 +26,7 @@ from time import monotonic, perf_counter, sleep
 from typing import TYPE_CHECKING, Any
 
 from guidance.haptics.devices import Device, DeviceError, Pair, VirtualDevice
-from guidance.haptics.safety import NONE, Limits, Safety, within
+from guidance.haptics.safety import NONE, Safety, SafetyLimits, clip_norm
 
 if TYPE_CHECKING:  # the servo's own process starts at once, without numpy
     import numpy as np
@@ -45,11 +45,11 @@ OPENING, ANSWER, ENDING = 30.0, 0.25, 2.0  # s of patience with the process
 HANGING = 0.25  # s without a step
 FAULT_BYTES = 300
 
-Opener = Callable[[], Device] | tuple[str, str, Mapping[str, Any]]
+DeviceFactory = Callable[[], Device] | tuple[str, str, Mapping[str, Any]]
 """What opens a device in another process: something importable to call, or a module, a name in it and keywords."""
 
 
-class Loop:
+class ServoLoop:
     """One step of the servo, whoever's time it is.
 
     Attributes:
@@ -57,7 +57,7 @@ class Loop:
         force: (2,) N, what really acts on it.
     """
 
-    def __init__(self, device: Device, limits: Limits) -> None:
+    def __init__(self, device: Device, limits: SafetyLimits) -> None:
         self.device, self.safety = device, Safety(limits)
         self.position = self.velocity = self.force = NONE
         self.held = False
@@ -66,7 +66,7 @@ class Loop:
     def push(self, x: float, y: float, held: bool) -> None:
         """Ask for this force in N from now on; none if it is not finite."""
         self._from = self._target()
-        self._to = within(x, y, self.safety.limits.force)
+        self._to = clip_norm(x, y, self.safety.limits.force)
         self._age, self._wanted = 0.0, held
 
     def rest(self) -> None:
@@ -120,14 +120,14 @@ def _pair(force: Any) -> Pair:
     return float(force[0]), float(force[1])
 
 
-class Inline:
+class InProcessServo:
     """The servo of a virtual device, in this process and in the device's own time.
 
     What comes of it depends on nothing but what is pushed and what the device does.
     """
 
-    def __init__(self, device: VirtualDevice, limits: Limits) -> None:
-        self.device, self._loop = device, Loop(device, limits)
+    def __init__(self, device: VirtualDevice, limits: SafetyLimits) -> None:
+        self.device, self._loop = device, ServoLoop(device, limits)
         self._closed = False
 
     def push(self, force: Any, held: bool = True) -> None:
@@ -219,7 +219,7 @@ class Timing:
     late: int
 
 
-class Slot:
+class SharedRecord:
     """A record in shared memory that one process writes and others read, never half of one and half of another.
 
     It carries its checksum, so it needs no lock that somebody who dies could keep, and no order of writes in memory.
@@ -250,24 +250,24 @@ REPORT = (
 )
 
 
-class Servo:
-    """The servo of a real device, at 1 kHz in a process of its own; as `Inline`, but time passes by itself.
+class ServoProcess:
+    """The servo of a real device, at 1 kHz in a process of its own; as `InProcessServo`, but time passes by itself.
 
     The device is relaxed and closed when the servo is, when it fails, when it is told to end (SIGTERM, SIGINT), and
     when the process that began it is no more. To be used from one thread.
 
     Args:
-        open_device: opens the device in that process, see `Opener`.
+        open_device: opens the device in that process, see `DeviceFactory`.
         limits: what the force must keep to.
 
     Raises:
         DeviceError: the device could not be opened; says why.
     """
 
-    def __init__(self, open_device: Opener, limits: Limits) -> None:
+    def __init__(self, open_device: DeviceFactory, limits: SafetyLimits) -> None:
         context = multiprocessing.get_context("spawn")
-        self._orders = Slot(ORDERS, context, 0, 0.0, 0.0, False, 0, 0, False)
-        self._report = Slot(REPORT, context, 0, 0, 0, *[0.0] * 7, False, b"")
+        self._orders = SharedRecord(ORDERS, context, 0, 0.0, 0.0, False, 0, 0, False)
+        self._report = SharedRecord(REPORT, context, 0, 0, 0, *[0.0] * 7, False, b"")
         self._periods = context.RawArray("Q", LONGEST + 1)
         self._pushes = self._releases = self._rests = 0
         self._force, self._wanted, self._closed = NONE, False, False
@@ -290,7 +290,7 @@ class Servo:
         self._seen_at = monotonic()
 
     def push(self, force: Any, held: bool = True) -> None:
-        """Ask for a force on the hand, see `Inline.push`."""
+        """Ask for a force on the hand, see `InProcessServo.push`."""
         self._force, self._wanted = _pair(force), bool(held)
         self._pushes += 1
         self._write()
@@ -342,7 +342,7 @@ class Servo:
         return fault or None
 
     def rest(self) -> None:
-        """Have no force act until the next push, which then starts softly, see `Inline.rest`."""
+        """Have no force act until the next push, which then starts softly, see `InProcessServo.rest`."""
         self._rests += 1
         self.push(NONE, False)
 
@@ -386,7 +386,14 @@ def _without_main() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
-def _serve(open_device: Opener, limits: Limits, orders: Slot, report: Slot, periods: Any, opened: Connection) -> None:
+def _serve(
+    open_device: DeviceFactory,
+    limits: SafetyLimits,
+    orders: SharedRecord,
+    report: SharedRecord,
+    periods: Any,
+    opened: Connection,
+) -> None:
     """The process: open the device, keep the loop going, and leave the device without a force whatever happens."""
     stopping: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -402,7 +409,7 @@ def _serve(open_device: Opener, limits: Limits, orders: Slot, report: Slot, peri
         return
     try:
         _hurry()
-        loop = Loop(device, limits)
+        loop = ServoLoop(device, limits)
         opened.send(None)
         opened.close()
         _run(loop, orders, report, periods, stopping)
@@ -412,7 +419,7 @@ def _serve(open_device: Opener, limits: Limits, orders: Slot, report: Slot, peri
                 end()
 
 
-def _run(loop: Loop, orders: Slot, report: Slot, periods: Any, stopping: list[int]) -> None:
+def _run(loop: ServoLoop, orders: SharedRecord, report: SharedRecord, periods: Any, stopping: list[int]) -> None:
     parent, safety = multiprocessing.parent_process(), loop.safety
     steps = late = pushes = releases = rests = 0
     longest, fault, said = 0.0, None, b""

@@ -25,8 +25,8 @@ from typing import Any
 
 import pandas as pd
 
-from airhockey_marl.experiment.files import clear, saying, settle
-from airhockey_marl.experiment.run_folder import take
+from airhockey_marl.experiment.files import fsync_dir, name_write_errors, remove_temporary_files
+from airhockey_marl.experiment.run_folder import acquire_lock
 from guidance.sessions.recording import (
     OBJECTIVE,
     RESULTS,
@@ -89,12 +89,12 @@ class Records:
             OSError: something could not be written; the message names it.
         """
         self.folder, self._on = Path(folder), None
-        with saying(self.folder):
+        with name_write_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock: int | None = take(self.folder, "records")
+            self._lock: int | None = acquire_lock(self.folder, "records")
         try:
             self.manifest = self._same_study(facts)
-            clear(self.folder)
+            remove_temporary_files(self.folder)
             for name, content in (("README", README), (".bidsignore", IGNORED)):
                 if not (self.folder / name).exists():
                     save_text(self.folder / name, content)
@@ -134,10 +134,10 @@ class Records:
             free = next(place for place in range(len(self.places) + 1) if place not in self.places.values())
             self._save_places(self.places | {label: free})
         folder = self._person(label) / "beh"
-        with saying(folder):
+        with name_write_errors(folder):
             folder.mkdir(parents=True, exist_ok=True)
-            settle(folder.parent)
-            settle(self.folder)
+            fsync_dir(folder.parent)
+            fsync_dir(self.folder)
         return Participant(self, label)
 
     def withdraw(self, label: str, counted: bool = True) -> None:
@@ -278,10 +278,10 @@ class Records:
         label = self.manifest.get("withdrawing")
         if label is None:
             return None
-        with saying(self._person(label)):
+        with name_write_errors(self._person(label)):
             if self._person(label).exists():
                 shutil.rmtree(self._person(label))
-            settle(self.folder)
+            fsync_dir(self.folder)
         self._save_places({known: place for known, place in self.places.items() if known != label})
         self.save_trials()
         self._save_manifest({key: value for key, value in self.manifest.items() if key != "withdrawing"})

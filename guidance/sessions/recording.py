@@ -21,14 +21,19 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from airhockey_marl.experiment.files import remove, saying, settle, write_text
-from guidance.forces.conditions import Guided
+from airhockey_marl.experiment.files import fsync_dir, name_write_errors, remove, write_text
+from guidance.forces.conditions import GuidanceOutput
 from guidance.simulated_users.ratings import RATINGS
 from guidance.statistics.tests import METRICS
 
 UNSCORED = "unscored"  # the game without guidance from which UA learns
 OBJECTIVE = tuple(name for name, metric in METRICS.items() if metric.kind == "objective")
-RESULTS = (*OBJECTIVE, "rounds", "duration_s", *(f"{w}_{part}" for w in Guided._fields[1:] for part in ("mean", "sd")))
+RESULTS = (
+    *OBJECTIVE,
+    "rounds",
+    "duration_s",
+    *(f"{w}_{part}" for w in GuidanceOutput._fields[1:] for part in ("mean", "sd")),
+)
 SCALE = range(1, 8)  # of the ratings
 MISSING = "n/a"  # BIDS has it so
 _PARTIAL, _BEHAVIOUR = "_desc-partial_beh", "_beh"
@@ -39,9 +44,9 @@ Columns = Mapping[str, Mapping[str, str]]
 
 def save_text(path: Path, text: str) -> None:
     """Write `text` to `path`, whole or not at all, and for good."""
-    with saying(path):
+    with name_write_errors(path):
         write_text(path, text)
-        settle(path.parent)
+        fsync_dir(path.parent)
 
 
 def save_json(path: Path, content: Any) -> None:
@@ -65,9 +70,9 @@ def load_json(path: Path) -> dict[str, Any]:
 
 
 def _rename(old: Path, new: Path) -> None:
-    with saying(new):
+    with name_write_errors(new):
         old.replace(new)
-        settle(new.parent)
+        fsync_dir(new.parent)
 
 
 @dataclass(frozen=True)
@@ -199,9 +204,9 @@ class Recording:
         save_json(recording._path(_PARTIAL, ".json"), recording._description())
         path = recording._path(_PARTIAL, ".tsv")
         try:
-            with saying(path):
+            with name_write_errors(path):
                 recording._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
-                settle(path.parent)
+                fsync_dir(path.parent)
             recording._write("\t".join(columns) + "\n")
         except OSError:
             recording.close()
@@ -289,7 +294,7 @@ class Recording:
         if self._handle is None:
             raise ValueError(f"the game {self.name} is not on")
         content, written = memoryview(text.encode("ascii")), 0
-        with saying(self._path(_PARTIAL, ".tsv")):
+        with name_write_errors(self._path(_PARTIAL, ".tsv")):
             os.ftruncate(self._handle, self._size)
             while written < len(content):
                 written += os.pwrite(self._handle, content[written:], self._size + written)

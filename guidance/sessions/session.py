@@ -13,18 +13,18 @@ from typing import Protocol as Interface
 import numpy as np
 from tensordict import TensorDict
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.players.players import Player
 from guidance.display.pages import Items, Page
 from guidance.forces.conditions import Condition
-from guidance.haptics.seat import Moment, Seat
+from guidance.haptics.seat import DisplayState, RealTimePlayer
 from guidance.sessions.bids import Participant
 from guidance.sessions.recording import UNSCORED, Recording
 from guidance.simulated_users.ratings import RATINGS
-from guidance.study.games import Rink, Tick, play_games
+from guidance.study.games import GameRunner, GameStep, play_games
 from guidance.study.models import Models
-from guidance.study.protocol import NO_CONDITION, Protocol, order_of, streams
-from guidance.study.tick_log import COLUMNS, TickLog, demonstration, overheard_guide, read_ticks, scene_facts
+from guidance.study.protocol import CALIBRATION_GAME, Protocol, counterbalanced_order, spawn_rng_states
+from guidance.study.tick_log import COLUMNS, TickLog, demonstration, read_ticks, scene_facts, tapped_guidance
 
 WELCOME = (
     "You play at the left side, in blue. The paddle follows your hand. Whoever gets the puck into the other's goal "
@@ -43,7 +43,7 @@ SKIP = "s"
 THANKS = "That was the last game. Thank you!"
 
 
-class Desk(Interface):
+class ExperimenterUI(Interface):
     """Where the person reads, answers, and the experimenter writes."""
 
     def page(self, page: Page) -> str: ...
@@ -61,7 +61,7 @@ class Events(Interface):
     def tick(self, row: Mapping[str, float]) -> None: ...
 
 
-class Nobody:
+class NullEvents:
     """Nobody wants to know."""
 
     def mark(self, what: str) -> None:
@@ -72,7 +72,7 @@ class Nobody:
 
 
 @dataclass(frozen=True)
-class Plan:
+class SessionPlan:
     """What is the same for everybody in a study.
 
     Attributes:
@@ -118,10 +118,10 @@ class Session:
 
     def __init__(
         self,
-        plan: Plan,
+        plan: SessionPlan,
         participant: Participant,
-        seat: Seat,
-        desk: Desk,
+        seat: RealTimePlayer,
+        desk: ExperimenterUI,
         events: Events | None = None,
         seated: Callable[[int], None] = lambda game: None,
     ) -> None:
@@ -130,10 +130,10 @@ class Session:
                 f"participants = {plan.participants}: {participant.label} would be number {participant.place + 1}"
             )
         self.plan, self.participant, self.seat, self.desk = plan, participant, seat, desk
-        self.events, self.seated = events or Nobody(), seated
+        self.events, self.seated = events or NullEvents(), seated
         seat.mark = self.events.mark
         self.adapted: TensorDict | None = None
-        places = order_of(plan.participants, len(plan.conditions), plan.seed)[participant.place]
+        places = counterbalanced_order(plan.participants, len(plan.conditions), plan.seed)[participant.place]
         self.order = [plan.conditions[i] for i in np.argsort(places)]
 
     def run(self) -> bool:
@@ -147,7 +147,7 @@ class Session:
         if UNSCORED not in self.participant.games:
             self._practise()
             self._read("A first game", FIRST_GAME, {"return": "begin"})
-            self._play(self._without_guidance(), UNSCORED, 0, NO_CONDITION, "A first game")
+            self._play(self._without_guidance(), UNSCORED, 0, CALIBRATION_GAME, "A first game")
         self.adapted = self.plan.models.adapted_to([demonstration(read_ticks(self.participant.games[UNSCORED].file))])
         for number, condition in enumerate(self.order, 1):
             game = self.participant.games.get(condition.name)
@@ -182,10 +182,10 @@ class Session:
         """A game without end and without guidance, which nobody records."""
         if self._read("Practice", WELCOME, {"return": "practise", SKIP: "no practice"}) == SKIP:
             return
-        seat, table = self.seat, Table()
-        self.seated(NO_CONDITION)
-        rink = Rink(seat, self.plan.opponent, table, self._serves(NO_CONDITION, purpose=4))
-        seat.moment = Moment(title="Practice: return when you have had enough")
+        seat, table = self.seat, TableSpec()
+        self.seated(CALIBRATION_GAME)
+        rink = GameRunner(seat, self.plan.opponent, table, self._serves(CALIBRATION_GAME, purpose=4))
+        seat.moment = DisplayState(title="Practice: return when you have had enough")
         rink.new_games()
         won = lost = 0
         self.events.mark("practice")
@@ -197,22 +197,22 @@ class Session:
                 rink.new_rounds(tick.goals != 0)
 
     def _serves(self, game: int, purpose: int = 1) -> np.ndarray:
-        return streams(self.plan.seed, [self.participant.place], game, purpose)
+        return spawn_rng_states(self.plan.seed, [self.participant.place], game, purpose)
 
     def _play(self, condition: Condition, name: str, position: int, game: int, title: str) -> None:
         """Play one game by the protocol, and put it on the disk round by round."""
-        plan, seat, table = self.plan, self.seat, Table()
+        plan, seat, table = self.plan, self.seat, TableSpec()
         own = self.adapted if name != UNSCORED else None
-        guide, overheard = overheard_guide(condition, plan.models, own, plan.lookahead_seconds)
+        guide, overheard = tapped_guidance(condition, plan.models, own, plan.lookahead_seconds)
         log = TickLog(overheard, table.tick, seat.hand)
         facts = scene_facts(condition, self.participant.label, plan.opponent_label, own is not None)
         facts |= {"device": plan.device, "questions": dict(plan.questions), "scale": list(plan.scale)}
         self.seated(game)
         with self.participant.begin_game(name, position, COLUMNS, facts) as recording:
             self.events.mark(f"begin {name}")
-            seat.moment = Moment(title=title)
+            seat.moment = DisplayState(title=title)
 
-            def watching(tick: Tick, scored: bool, ended: np.ndarray) -> None:
+            def watching(tick: GameStep, scored: bool, ended: np.ndarray) -> None:
                 self._watch(log, recording, tick, scored, ended)
 
             try:
@@ -229,7 +229,7 @@ class Session:
             recording.finish(numbers, {"late_ticks": seat.late, "pauses": seat.pauses, "faults": seat.faults})
         self.events.mark(f"end {name}")
 
-    def _watch(self, log: TickLog, recording: Recording, tick: Tick, scored: bool, ended: np.ndarray) -> None:
+    def _watch(self, log: TickLog, recording: Recording, tick: GameStep, scored: bool, ended: np.ndarray) -> None:
         """Show how it stands, and save each round as it ends."""
         began = scored and not log.scored
         row = log(tick, scored, bool(ended[0]))

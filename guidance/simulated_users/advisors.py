@@ -11,7 +11,7 @@ from numba import njit
 from airhockey_marl.league.league import League
 
 
-class Mentors(NamedTuple):
+class Advisors(NamedTuple):
     """The models of k generations, from the weakest to the strongest.
 
     Attributes:
@@ -23,11 +23,11 @@ class Mentors(NamedTuple):
     weights: np.ndarray
 
 
-NO_MENTORS = Mentors(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
+NO_ADVISORS = Advisors(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
 
 
 @torch.no_grad()
-def mentors_of(league: League) -> Mentors:
+def stack_advisors(league: League) -> Advisors:
     """All generations of a league as mentors; the scaling of the inputs becomes part of the first layer."""
     inputs = league.policy.inputs(torch.eye(12)).T.double()
     layers = [f"layers.{2 * index}" for index in range(len(league.policy.hidden))] + ["head"]
@@ -37,20 +37,20 @@ def mentors_of(league: League) -> Mentors:
         tensors["layers.0.weight"] = tensors["layers.0.weight"] @ inputs
         parts = [tensors[f"{layer}.{part}"].flatten() for layer in layers for part in ("weight", "bias")]
         rows.append(torch.cat(parts))
-    return Mentors(np.array([12, *league.policy.hidden, 4]), torch.stack(rows).numpy())
+    return Advisors(np.array([12, *league.policy.hidden, 4]), torch.stack(rows).numpy())
 
 
-def load_mentors(path: Path | str | None) -> Mentors:
+def load_advisors(path: Path | str | None) -> Advisors:
     """The mentors in a league's file; nobody for None.
 
     Raises:
         ValueError: the file is missing or broken.
     """
-    return NO_MENTORS if path is None else mentors_of(League.load(path))
+    return NO_ADVISORS if path is None else stack_advisors(League.load(path))
 
 
 @njit(cache=True)
-def advised(mentors, skill, state):
+def advised_action(mentors, skill, state):
     """The mean action (x, y) that someone of this skill has learned to think of at this state (12,).
 
     The share of people who are less skilled picks the generation: half of them for the median person.

@@ -1,6 +1,6 @@
 """The hand at the device: a minimum-acceleration plan, motor noise, and an arm that a force can push.
 
-Metres of the hand, newtons, seconds. Scalar and compiled; an arm and a person are records of `ARM` and `PERSON`.
+Metres of the hand, newtons, seconds. Scalar and compiled; an arm and a person are records of `ARM_STATE` and `PERSON`.
 """
 
 from math import exp, hypot, sqrt
@@ -32,7 +32,7 @@ _PAIRS = (
     "sensed",
     "sensed_v",
 )
-ARM = np.dtype(
+ARM_STATE = np.dtype(
     [(name + axis, np.float64) for name in _PAIRS for axis in ("_x", "_y")]
     + [("plan_seconds", np.float64), ("plan_age", np.float64), ("effort", np.float64)]
 )
@@ -142,7 +142,7 @@ def unexpected(arm, model, out):
 
 
 @njit(cache=True)
-def sense(arm, model, late):
+def estimate_state(arm, model, late):
     """Know where the hand is: what one commanded is known at once, the rest only as `late` (4,) as it is felt.
 
     The model is a copy of the arm that hears every command and knows nothing of noise and forces (Wolpert et al. 1995).
@@ -153,7 +153,7 @@ def sense(arm, model, late):
 
 
 @njit(cache=True)
-def put_right(model, arm):
+def reset_forward_model(model, arm):
     """Have the forward model begin the arm's new plan, from where its owner takes the hand to be."""
     model.base_x += arm.sensed_x - model.hand_x
     model.base_y += arm.sensed_y - model.hand_y

@@ -46,7 +46,7 @@ def agreement(person, force_x, force_y, away_x, away_y):
 
 
 @njit(cache=True)
-def answer(person, mind, hand_x, hand_y, felt_x, felt_y, variant, tick):
+def respond_to_force(person, mind, hand_x, hand_y, felt_x, felt_y, variant, tick):
     """Let co-contraction and the deliberate push follow the force felt, for one tick of `tick` seconds.
 
     Returns:

@@ -115,7 +115,7 @@ def worth_of(person, row, open_straight):
 
 
 @njit(cache=True)
-def appraise(person, mind, arm, percept, path, situation, threatened, table, worth):
+def compute_utilities(person, mind, arm, percept, path, situation, threatened, table, worth):
     """Write what each intention is worth now into `worth` (INTENTIONS,); the impossible ones are worth nothing."""
     worth[:] = IMPOSSIBLE
     if situation == Situation.AWAY:
@@ -151,7 +151,7 @@ def appraise(person, mind, arm, percept, path, situation, threatened, table, wor
 
 
 @njit(cache=True)
-def choose(worth, temperature, rng, index):
+def sample_softmax(worth, temperature, rng, index):
     """Draw an index of `worth` from its softmax at this temperature."""
     best = worth.max()
     total = 0.0

@@ -23,7 +23,7 @@ def standard_normal(rng, index):
 
 
 @njit(cache=True)
-def misjudge(person, mind, rng, index):
+def update_percept_noise(person, mind, rng, index):
     """Move this plan's errors of seeing one step on: AR(1) with unit variance, three draws."""
     kept = person.noise_memory
     fresh = sqrt(1.0 - kept * kept)
@@ -58,7 +58,7 @@ def surprising(person, percept, before, tick):
 
 
 @njit(cache=True)
-def foresee(person, mind, percept, delay, table, path):
+def predict_puck(person, mind, percept, delay, table, path):
     """Write where the puck is expected, now and 1.2 s ahead, into `path` (LOOK_AHEAD, 4): x, y, vx, vy.
 
     Args:

@@ -192,9 +192,9 @@ class Population:
     stiffest: Positive
     damping_time: float
     # answering a force
-    touch_delay: LogNormal
+    tactile_delay: LogNormal
     proprioceptive_delay: float
-    felt_from: float
+    force_threshold: float
     aim_size: Positive
     full_conflict: Positive
     stiffening_shape: Positive
@@ -255,7 +255,7 @@ def _usual() -> dict[str, Any]:
 
 STUDY, TRAINING = 1, 2  # seed streams that never meet
 # One record a person, SI units. Where a field has the name of one of `Population`, see there.
-PERSON = np.dtype(
+USER_PARAMETERS = np.dtype(
     [("archetype", np.int64), ("skill", np.float64), ("foreseen_bounces", np.int64), ("stiffening", np.float64)]
     + [(item.name, np.float64) for item in fields(Population) if item.name not in ("worth", "archetypes")]
     + [(name, np.float64) for name in ("rating_gain", "rating_bias", *TRAITS)]
@@ -301,7 +301,7 @@ def _draw_person(person: np.void, rng: np.random.Generator, population: Populati
 def _people(wanted: list[str | None], seed: int, stream: int, population: Population | None) -> np.ndarray:
     population = population or Population.usual()
     check_counts(0, seed=seed)
-    people = np.zeros(len(wanted), dtype=PERSON)
+    people = np.zeros(len(wanted), dtype=USER_PARAMETERS)
     for index, archetype in enumerate(wanted):
         if archetype is not None and archetype not in population.archetypes:
             raise ValueError(f"archetype = {archetype!r} must be one of {', '.join(population.archetypes)}")
@@ -314,7 +314,7 @@ def sample_people(n: int, seed: int, population: Population | None = None, arche
     """Draw n people for a study, of one archetype or of a random one each.
 
     Returns:
-        (n,) structured array of dtype `PERSON`. The first k are the same people for every n.
+        (n,) structured array of dtype `USER_PARAMETERS`. The first k are the same people for every n.
 
     Raises:
         ValueError: n below 1, a negative seed or an unknown archetype.

@@ -21,7 +21,7 @@ from guidance.simulated_users.perception import standard_normal
 
 SIGNALS = ("conflict", "unsupported", "supportive_power", "deviation", "effort", "jerk", "surprise", "hindsight")
 # Sums over a game of a person's ticks, and the force expected now.
-TALLY = np.dtype(
+RATING_SIGNALS = np.dtype(
     [("ticks", np.int64), ("hindsight_ticks", np.int64)]
     + [(name, np.float64) for name in (*SIGNALS, "expected_x", "expected_y")]
 )
@@ -72,7 +72,7 @@ def signals(tallies: np.ndarray) -> np.ndarray:
     N, N, W, m, N, N/s (root mean square), N, m. All are 0 without a force; so is hindsight help, which then
     says nothing.
     """
-    if tallies.dtype != TALLY or tallies.ndim != 1:
+    if tallies.dtype != RATING_SIGNALS or tallies.ndim != 1:
         raise ValueError(f"tallies: {kind_of(tallies)}, must be TALLY of shape (n,)")
     ticks = np.maximum(tallies["ticks"], 1)
     means = np.stack([tallies[name] / ticks for name in SIGNALS], axis=1)

@@ -3,7 +3,7 @@
 import numpy as np
 
 # One record a person. Seconds, metres of the hand and newtons, unless said otherwise.
-MIND = np.dtype(
+USER_STATE = np.dtype(
     [
         ("age", np.int64),  # ticks since the round began
         # intention

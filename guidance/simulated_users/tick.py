@@ -10,20 +10,27 @@ import numpy as np
 from numba import njit
 
 from airhockey_marl.envs.world import random_unit
-from guidance.simulated_users.advisors import advised
+from guidance.simulated_users.advisors import advised_action
 from guidance.simulated_users.arm import (
     HAND_REACH,
     STEADY,
     SUBSTEPS,
     begin_plan,
     draw_motor_noise,
+    estimate_state,
     move_arm,
-    put_right,
+    reset_forward_model,
     rest,
-    sense,
     unexpected,
 )
-from guidance.simulated_users.force_response import Variant, agreement, answer, learn_trust, shared_goal, stiffness_now
+from guidance.simulated_users.force_response import (
+    Variant,
+    agreement,
+    learn_trust,
+    respond_to_force,
+    shared_goal,
+    stiffness_now,
+)
 from guidance.simulated_users.intention import (
     IMPOSSIBLE,
     INTENTIONS,
@@ -31,13 +38,21 @@ from guidance.simulated_users.intention import (
     Intention,
     Situation,
     aim_y,
-    appraise,
-    choose,
+    compute_utilities,
+    sample_softmax,
     situation_of,
     strike_speed,
     wall_of,
 )
-from guidance.simulated_users.perception import LOOK_AHEAD, OWN, PUCK, foresee, misjudge, standard_normal, surprising
+from guidance.simulated_users.perception import (
+    LOOK_AHEAD,
+    OWN,
+    PUCK,
+    predict_puck,
+    standard_normal,
+    surprising,
+    update_percept_noise,
+)
 from guidance.simulated_users.ratings import tally_force, tally_hindsight
 from guidance.simulated_users.strokes import (
     block,
@@ -99,10 +114,10 @@ def aim_anew(mind, rng, index):
 def decide(person, mind, arm, percept, situation, mentors, table, path, worth, rng, index):
     """Draw an intention; another one than the present becomes effective after the decision delay."""
     mind.sees_bounces = 1 if random_unit(rng, index) < person.bounce_insight else 0
-    mind.threatened = foresee(person, mind, percept, person.sight_delay, table, path) >= 0
-    appraise(person, mind, arm, percept, path, situation, mind.threatened, table, worth)
+    mind.threatened = predict_puck(person, mind, percept, person.sight_delay, table, path) >= 0
+    compute_utilities(person, mind, arm, percept, path, situation, mind.threatened, table, worth)
     take_advice(person, mind, arm, percept, mentors, table, path, worth)
-    drawn = choose(worth, person.choice_temperature, rng, index)
+    drawn = sample_softmax(worth, person.choice_temperature, rng, index)
     unsteady = exp(person.delay_noise * standard_normal(rng, index))
     waiting = -log(1.0 - random_unit(rng, index)) * person.idle
     mind.dwell_left = person.dwell + waiting if situation == Situation.AWAY else np.inf
@@ -129,7 +144,7 @@ def take_advice(person, mind, arm, percept, mentors, table, path, worth):
     seen[OWN], seen[OWN + 1] = paddle_x, paddle_y
     seen[OWN + 2], seen[OWN + 3] = arm.sensed_v_x / gain_x, arm.sensed_v_y / gain_y
     seen[PUCK : PUCK + 4] = path[0]
-    advised_x, advised_y = advised(mentors, person.skill, seen)
+    advised_x, advised_y = advised_action(mentors, person.skill, seen)
     away_x, away_y = HAND_REACH * advised_x - arm.sensed_x, HAND_REACH * advised_y - arm.sensed_y
     present = mind.intention
     for intention in range(INTENTIONS):
@@ -191,9 +206,9 @@ def find_move(person, mind, arm, percept, path, table):
 def plan(person, mind, arms, percept, felt, variant, table, path, rng, index):
     """Look again, and plan the hand's way for the next plan period from where the hand is."""
     arm, shadow = arms[0], arms[1]
-    misjudge(person, mind, rng, index)
+    update_percept_noise(person, mind, rng, index)
     timing = person.timing_noise * standard_normal(rng, index)
-    threatened = foresee(person, mind, percept, person.sight_delay, table, path) >= 0
+    threatened = predict_puck(person, mind, percept, person.sight_delay, table, path) >= 0
     if threatened and not mind.threatened:
         mind.dwell_left = 0.0
     mind.threatened = threatened
@@ -215,12 +230,12 @@ def plan(person, mind, arms, percept, felt, variant, table, path, rng, index):
     if variant == Variant.V2:
         goal_x, goal_y = shared_goal(person, mind, arm.sensed_x, arm.sensed_y, felt[0], felt[1])
     begin_plan(arm, person, goal_x, goal_y, vx * gain_x, vy * gain_y, seconds)
-    put_right(arms[2], arm)
-    put_right(arms[3], shadow)
+    reset_forward_model(arms[2], arm)
+    reset_forward_model(arms[3], shadow)
 
 
 @njit(cache=True)
-def think(person, mind, arms, percept, before, felt, variant, mentors, table, path, worth, rng, index):
+def update(person, mind, arms, percept, before, felt, variant, mentors, table, path, worth, rng, index):
     """Notice what happens, decide if it asks for it, and plan when it is time. `before` is the percept a tick older."""
     arm, tick = arms[0], table.tick
     paddle_x, _ = to_table(arm.sensed_x, arm.sensed_y, table)
@@ -253,7 +268,7 @@ def think(person, mind, arms, percept, before, felt, variant, mentors, table, pa
 @njit(cache=True)
 def _perceived_force(person, felt, row, out):
     out[0], out[1] = felt[row, 0], felt[row, 1]
-    if hypot(out[0], out[1]) < person.felt_from:
+    if hypot(out[0], out[1]) < person.force_threshold:
         out[0] = out[1] = 0.0
 
 
@@ -308,10 +323,10 @@ def play(
         felt_late = max(age - _ticks(person.proprioceptive_delay, tick), 0) % ring
         unexpected(arm, arm_model, off[index, row, 0])
         unexpected(shadow, shadow_model, off[index, row, 1])
-        sense(arm, arm_model, off[index, felt_late, 0])
-        sense(shadow, shadow_model, off[index, felt_late, 1])
+        estimate_state(arm, arm_model, off[index, felt_late, 0])
+        estimate_state(shadow, shadow_model, off[index, felt_late, 1])
 
-        touched = age - _ticks(person.touch_delay, tick)
+        touched = age - _ticks(person.tactile_delay, tick)
         now[:] = 0.0
         if touched >= 0:
             _perceived_force(person, felt[index], touched % ring, now)
@@ -321,9 +336,9 @@ def play(
             before = seen[index, max(looked - 1, 0) % ring]
             if looked == 0:
                 mind.plan_left = 0.0
-            think(person, mind, arms[index], percept, before, now, variant, mentors, table, path, worth, rng, index)
+            update(person, mind, arms[index], percept, before, now, variant, mentors, table, path, worth, rng, index)
 
-        answer(person, mind, arm.hand_x, arm.hand_y, now[0], now[1], variant, tick)
+        respond_to_force(person, mind, arm.hand_x, arm.hand_y, now[0], now[1], variant, tick)
         stiffness = stiffness_now(person, mind)
         for _ in range(SUBSTEPS):
             draw_motor_noise(person, mind, dt, rng, index)
@@ -344,7 +359,7 @@ def play(
             believed = touched - _ticks(person.believed_ahead, tick)
             if (
                 believed >= 0
-                and hypot(felt[index, believed % ring, 0], felt[index, believed % ring, 1]) >= person.felt_from
+                and hypot(felt[index, believed % ring, 0], felt[index, believed % ring, 1]) >= person.force_threshold
             ):
                 learn_trust(person, mind, partner[index, old, 0], partner[index, old, 1], arm.hand_x, arm.hand_y, tick)
         last = felt[index, (age - 1) % ring] if age > 0 else felt[index, row]

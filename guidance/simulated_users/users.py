@@ -1,32 +1,32 @@
-"""`Users`: n simulated people side by side at their devices."""
+"""`SimulatedUsers`: n simulated people side by side at their devices."""
 
 from math import ceil
 
 import numpy as np
 
-from airhockey_marl.envs.physics import Table, check_table
-from airhockey_marl.experiment.parallel import over_rows
+from airhockey_marl.envs.physics import TableSpec, check_table
+from airhockey_marl.experiment.parallel import parallel_for
 from airhockey_marl.experiment.validation import check_rows
-from guidance.simulated_users.advisors import NO_MENTORS, Mentors
-from guidance.simulated_users.arm import ARM
+from guidance.simulated_users.advisors import NO_ADVISORS, Advisors
+from guidance.simulated_users.arm import ARM_STATE
 from guidance.simulated_users.force_response import Variant
 from guidance.simulated_users.intention import NOTHING, Intention
-from guidance.simulated_users.population import PERSON
-from guidance.simulated_users.ratings import SIGNALS, TALLY, answers, appraisals, signals
-from guidance.simulated_users.state import MIND
+from guidance.simulated_users.population import USER_PARAMETERS
+from guidance.simulated_users.ratings import RATING_SIGNALS, SIGNALS, answers, appraisals, signals
+from guidance.simulated_users.state import USER_STATE
 from guidance.simulated_users.tick import begin_rounds, play
 
 
-class Users:
+class SimulatedUsers:
     """Simulated people who play from what they see and what they feel, and from nothing else.
 
     They are never told the guidance, its target, its weights or its name: `step` takes a state and a force.
     What person i does depends on their own parameters, stream, states and forces, not on who else is there.
 
     Args:
-        people: (n,) structured array of dtype `PERSON`, see `sample_people`.
+        people: (n,) structured array of dtype `USER_PARAMETERS`, see `sample_people`.
         streams: (n,) uint64, one stream of random numbers each, see `personal_streams`; copied.
-        table: the `Table` they know by practice.
+        table: the `TableSpec` they know by practice.
         variant: "V0" passive arm, "V1" comply or resist (the primary), "V2" V1 and goal sharing.
         mentors: the players whose judgement people have learned from; None for nobody's.
 
@@ -38,27 +38,27 @@ class Users:
         self,
         people: np.ndarray,
         streams: np.ndarray,
-        table: Table | None = None,
+        table: TableSpec | None = None,
         variant: str = "V1",
-        mentors: Mentors | None = None,
+        mentors: Advisors | None = None,
     ) -> None:
         people = np.asarray(people)
-        if people.dtype != PERSON or people.ndim != 1 or len(people) < 1:
+        if people.dtype != USER_PARAMETERS or people.ndim != 1 or len(people) < 1:
             raise ValueError(f"people of shape {people.shape} must be an array (n,) of people, n at least 1")
         streams = np.asarray(streams)
         if streams.dtype != np.uint64 or streams.shape != people.shape:
             raise ValueError(f"streams {streams.dtype} {streams.shape} must be uint64 {people.shape}")
         if variant not in Variant.__members__:
             raise ValueError(f"variant = {variant!r} must be one of {', '.join(Variant.__members__)}")
-        self.n, self.people, self.table = len(people), people.copy(), check_table(table or Table())
-        self.variant, self.streams, self.mentors = Variant[variant], streams.copy(), mentors or NO_MENTORS
+        self.n, self.people, self.table = len(people), people.copy(), check_table(table or TableSpec())
+        self.variant, self.streams, self.mentors = Variant[variant], streams.copy(), mentors or NO_ADVISORS
         delays = ("sight_delay", "proprioceptive_delay", "hindsight_after")
         longest = max(
-            (people["touch_delay"] + people["believed_ahead"]).max(), *(people[name].max() for name in delays)
+            (people["tactile_delay"] + people["believed_ahead"]).max(), *(people[name].max() for name in delays)
         )
         ring = ceil(longest / self.table.tick) + 2
-        self._minds, self._arms = np.zeros(self.n, MIND), np.zeros((self.n, 4), ARM)
-        self._tallies = np.zeros(self.n, TALLY)
+        self._minds, self._arms = np.zeros(self.n, USER_STATE), np.zeros((self.n, 4), ARM_STATE)
+        self._tallies = np.zeros(self.n, RATING_SIGNALS)
         self._off, self._minds["told"] = np.zeros((self.n, ring, 2, 4)), NOTHING
         self._seen, self._felt = np.zeros((self.n, ring, 12)), np.zeros((self.n, ring, 2))
         self._partner, self._trail = np.zeros((self.n, ring, 2)), np.zeros((self.n, ring, 4))
@@ -74,7 +74,7 @@ class Users:
         which = self._mask(which)
         self._minds["trust"][which] = self.people["trust_at_first"][which]
         self._minds["co_contraction"][which] = 0.0
-        self._tallies[which] = np.zeros((), TALLY)
+        self._tallies[which] = np.zeros((), RATING_SIGNALS)
         self.new_round(which)
 
     def _mask(self, which: np.ndarray) -> np.ndarray:
@@ -113,7 +113,7 @@ class Users:
             rows = self._all
         else:
             check_rows("rows", rows, self.n)
-        over_rows(
+        parallel_for(
             play,
             rows,
             self.people,

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from scipy import stats
 
-from airhockey_marl.experiment.files import replacing
+from airhockey_marl.experiment.files import atomic_write
 from guidance.statistics.paper import EVIDENCE
 from guidance.statistics.tests import BEYOND, METRICS, Condition, Metric, conditions_of
 
@@ -31,10 +31,10 @@ def save_figure(draw: Callable[[], Figure], folder: Path, name: str, dpi: int) -
     # no date and a fixed salt
     with matplotlib.rc_context({"svg.hashsalt": name, "font.family": "DejaVu Sans"}):
         figure, svg = draw(), io.BytesIO()
-        with replacing(folder / f"{name}.png") as path:
+        with atomic_write(folder / f"{name}.png") as path:
             figure.savefig(path, dpi=dpi)
         figure.savefig(svg, format="svg", metadata={"Date": None})
-    with replacing(folder / f"{name}.svg") as path:
+    with atomic_write(folder / f"{name}.svg") as path:
         path.write_bytes(svg.getvalue())
     return svg.getvalue()
 

@@ -6,10 +6,10 @@ import numpy as np
 from torch.utils.tensorboard import SummaryWriter
 
 from airhockey_marl.experiment.validation import check_counts, check_numbers, check_rows
-from guidance.forces.conditions import Condition, Guided
+from guidance.forces.conditions import Condition, GuidanceOutput
 
 BINS = 50
-WEIGHTS = Guided._fields[1:]
+WEIGHTS = GuidanceOutput._fields[1:]
 
 
 class Histograms:
@@ -27,7 +27,7 @@ class Histograms:
         self.counts: dict[str, np.ndarray] = {}  # by name of the signal: (conditions, BINS)
         self.sums: dict[str, np.ndarray] = {}  # (conditions, 2): of the values, and of their squares
 
-    def add(self, guided: Guided, games: np.ndarray) -> None:
+    def add(self, guided: GuidanceOutput, games: np.ndarray) -> None:
         """Count what the games (k,) were answered in a tick."""
         check_rows("games", games, len(self.conditions) * self.users)
         if len(guided.force) != len(games):

@@ -14,7 +14,7 @@ EVIDENCE = {"M": "mechanical", "P": "performance", "S": "proxy", "S0": "proxy, n
 EVIDENCE_OF_PEOPLE = EVIDENCE | {"S": "rating", "S0": "rating, against no force"}
 
 
-def published(table: str) -> pd.DataFrame:
+def published_results(table: str) -> pd.DataFrame:
     """One of the paper's tables: `findings`, `grid`, `anova` or `weights`; p stays as printed (".000", "<.001")."""
     return pd.read_csv(PAPER / f"{table}.csv", dtype={"p_reported": "str"})
 
@@ -29,28 +29,35 @@ def compare_with_paper(tests: pd.DataFrame, withdrawn: Collection[str] = ()) -> 
     Returns:
         One row per pair of the paper, the findings first. The paper's side: `family`, `metric`, `kind`, `x`, `y`, `id`
         and `table` (of a finding), `evidence` (M, P, S, S0; "" for a non-finding), `paper` (significant |
-        not_significant | gated), `paper_greater` (letter), `p_paper` (as printed), `dz_paper` (the smallest |dz| that
+        not_significant | anova_not_significant), `paper_greater` (letter), `p_paper` (as printed), `dz_paper` (the smallest |dz| that
         gives the printed p). Ours: `n`, `mean_difference` (x - y), `ci_low`, `ci_high`, `dz`, `p` (corrected), `rank_p`
-        (Wilcoxon's, corrected), `gated`, `significant`, `greater` (letter with the larger mean), `outcome`. For a
+        (Wilcoxon's, corrected), `anova_not_significant`, `significant`, `greater` (letter with the larger mean), `outcome`. For a
         finding, `outcome` is replicated (significant with the same sign), reversed (significant with the opposite sign)
-        or not_significant; for a non-finding wrongly_significant or agrees; not_tested where no test could be computed;
+        or not_significant; for a non-finding false_positives or agrees; not_tested where no test could be computed;
         withdrawn by the metric.
     """
-    findings = published("findings")[["id", "table", "evidence", "dz_min"]].rename(columns={"dz_min": "dz_paper"})
-    paper = published("grid").merge(findings, on="id", how="left")
+    findings = published_results("findings")[["id", "table", "evidence", "dz_min"]].rename(
+        columns={"dz_min": "dz_paper"}
+    )
+    paper = published_results("grid").merge(findings, on="id", how="left")
     paper = paper.rename(columns={"greater": "paper_greater", "p_reported": "p_paper"})
-    status = {"sig": "significant", "ns": "not_significant", "ns_anova_gate": "gated"}
+    status = {"sig": "significant", "ns": "not_significant", "ns_anova_gate": "anova_not_significant"}
     paper["paper"] = paper.pop("status").map(status)
     paper = paper.fillna({"id": "", "evidence": "", "paper_greater": "", "p_paper": ""})
 
     ours = tests.loc[tests["test"] != "rm_anova", ["family", "metric", "x", "y", "n", "mean_difference", "ci_low"]]
-    ours = ours.join(tests[["ci_high", "dz", "p_corrected", "rank_p_corrected", "gated", "significant", "greater"]])
+    ours = ours.join(
+        tests[["ci_high", "dz", "p_corrected", "rank_p_corrected", "anova_not_significant", "significant", "greater"]]
+    )
     both = paper.merge(
         ours.rename(columns={"p_corrected": "p", "rank_p_corrected": "rank_p"}),
         on=["family", "metric", "x", "y"],
         how="left",
     )
-    flags = {"gated": both["gated"].eq(True), "significant": both["significant"].eq(True)}
+    flags = {
+        "anova_not_significant": both["anova_not_significant"].eq(True),
+        "significant": both["significant"].eq(True),
+    }
     both = both.assign(**flags, greater=both["greater"].fillna(""))
 
     finding = both["paper"].eq("significant")
@@ -64,18 +71,18 @@ def compare_with_paper(tests: pd.DataFrame, withdrawn: Collection[str] = ()) -> 
             finding,
             both["significant"],
         ],
-        ["withdrawn", "not_tested", "replicated", "reversed", "not_significant", "wrongly_significant"],
+        ["withdrawn", "not_tested", "replicated", "reversed", "not_significant", "false_positives"],
         "agrees",
     )
     return both.sort_values("id", key=lambda ids: ids.replace("", "~"), kind="stable", ignore_index=True)
 
 
-def summary(comparison: pd.DataFrame) -> pd.DataFrame:
+def count_findings(comparison: pd.DataFrame) -> pd.DataFrame:
     """Count the outcomes of `compare_with_paper`.
 
     Returns:
         Indexed by evidence class: M, P, S, S0, `all` (the 38 findings) and `none` (the 63 non-findings); columns
-        `cells`, `tested`, `replicated`, `reversed`, `wrongly_significant` (counts).
+        `cells`, `tested`, `replicated`, `reversed`, `false_positives` (counts).
     """
     finding = comparison["evidence"].ne("")
     groups = {evidence: comparison["evidence"].eq(evidence) for evidence in EVIDENCE} | {
@@ -83,7 +90,7 @@ def summary(comparison: pd.DataFrame) -> pd.DataFrame:
         "none": ~finding,
     }
     tested = ~comparison["outcome"].isin(("not_tested", "withdrawn"))
-    outcomes = ("replicated", "reversed", "wrongly_significant")
+    outcomes = ("replicated", "reversed", "false_positives")
     counts = {
         evidence: {"cells": int(chosen.sum()), "tested": int((chosen & tested).sum())}
         | {outcome: int((chosen & comparison["outcome"].eq(outcome)).sum()) for outcome in outcomes}
@@ -100,7 +107,7 @@ def reference_points(n: int = 20) -> tuple[float, float]:
     """
     if not isinstance(n, int) or n < 2:
         raise ValueError(f"n = {n!r} must be a whole number of at least 2")
-    findings = published("findings")
+    findings = published_results("findings")
     tail = ALPHA / 2 / findings["bonferroni_m"]
     power = stats.nct.sf(stats.t.isf(tail, n - 1), n - 1, findings["dz_min"] * np.sqrt(n))
     return float(tail.sum()), float(power.sum())

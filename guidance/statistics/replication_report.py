@@ -6,7 +6,7 @@ from pathlib import Path
 import pandas as pd
 from omegaconf import DictConfig
 
-from airhockey_marl.experiment.files import replacing, write_text
+from airhockey_marl.experiment.files import atomic_write, write_text
 from airhockey_marl.experiment.html import template
 from guidance.statistics.figures import robustness_map, save_figure
 from guidance.statistics.paper import EVIDENCE, reference_points
@@ -29,7 +29,7 @@ def summarise(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
     leans = {v: leans_on(outcomes[outcomes["group"] == v], factors) for v in cfg.sensitivity.variants if v in groups}
     tables = {"outcomes": outcomes, "studies": scores, "robustness": findings}
     for name, table in tables.items():
-        with replacing(folder / f"{name}.csv") as temporary:
+        with atomic_write(folder / f"{name}.csv") as temporary:
             table.to_csv(temporary, index=False)
     svg = save_figure(lambda: robustness_map(findings), folder, "robustness", dpi=130)
     by_group = {
@@ -62,6 +62,6 @@ def summarise(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
         lines.append(
             f"{group:12}{row['studies']:>8}{total['mean']:>6.1f} [{total['low']:.0f}, {total['high']:.0f}]".ljust(36)
             + "".join(f"{row[f'replicated_{e}']['mean']:>8.1f}" for e in EVIDENCE)
-            + f"{row['reversed']['mean']:>10.1f}{row['wrongly_significant']['mean']:>8.1f}"
+            + f"{row['reversed']['mean']:>10.1f}{row['false_positives']['mean']:>8.1f}"
         )
     return "\n".join(lines)

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from airhockey_marl.experiment.files import found_below, replacing, sha256, write_text
+from airhockey_marl.experiment.files import atomic_write, find_files, sha256, write_text
 from airhockey_marl.experiment.html import template
 from guidance.statistics.figures import figure6, means_beside, save_figure
 from guidance.statistics.groups import UNTESTED, Group, names_of, of_people, side_by_side
-from guidance.statistics.paper import EVIDENCE, EVIDENCE_OF_PEOPLE, published, reference_points, summary
-from guidance.statistics.research_questions import QUESTIONS, answers
+from guidance.statistics.paper import EVIDENCE, EVIDENCE_OF_PEOPLE, count_findings, published_results, reference_points
+from guidance.statistics.research_questions import QUESTIONS, answer_questions
 from guidance.statistics.tests import (
     ALPHA,
     BEYOND,
@@ -29,7 +29,7 @@ from guidance.statistics.tests import (
     METRICS,
     check_trials,
     conditions_of,
-    lacking,
+    missing_games,
 )
 
 TRIALS = "trials.csv"
@@ -62,7 +62,7 @@ def write_report(
     if trials.empty:
         raise ValueError("no trials to report")
     folder, group = Path(folder), Group(trials, manifest)
-    with replacing(folder / "tests.csv") as path:
+    with atomic_write(folder / "tests.csv") as path:
         group.tests.to_csv(path, index=False)
     svg = save_figure(lambda: figure6(trials, group.withdrawn, group.people), folder, "figure6", dpi=150)
     shown = {} if beside is None else _beside(group, beside, folder)
@@ -98,7 +98,7 @@ def merge(folders: Iterable[str | Path], mixed: bool = False) -> pd.DataFrame:
             with the same seed, or runs whose manifest.json tell of different studies (`study_hash`) unless `mixed`, or
             some of people and some not.
     """
-    files = found_below(folders, TRIALS)
+    files = find_files(folders, TRIALS)
     studies: dict[str, list[str]] = {}
     manifests = [_manifest(file) for file in files]
     for file, manifest in zip(files, manifests, strict=True):
@@ -205,7 +205,7 @@ def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
         withdrawn=withdrawn,
         absent=[name for name in CONDITIONS if name not in conditions_of(trials)],
         untested_families=[family for family in FAMILIES if family not in set(tests["family"])],
-        counts=summary(comparison).to_dict("index"),
+        counts=count_findings(comparison).to_dict("index"),
         by_chance=by_chance,
         rerun=rerun,
         figure=base64.b64encode(svg).decode("ascii"),
@@ -213,7 +213,7 @@ def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
         table2=findings[findings["table"] == 2].to_dict("records"),
         table3=findings[findings["table"] == 3].to_dict("records"),
         reversals=findings[findings["outcome"] == "reversed"].to_dict("records"),
-        wrong=comparison[comparison["outcome"] == "wrongly_significant"].to_dict("records"),
+        wrong=comparison[comparison["outcome"] == "false_positives"].to_dict("records"),
         paired=_paired_rows(tests, comparison),
         anovas=_anova_rows(tests[tests["family"] != BEYOND]),
         own=[condition for condition in conditions_of(trials).values() if condition.guidance == BEYOND],
@@ -221,8 +221,8 @@ def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
         by_ranks=int((findings["rank_p"].lt(ALPHA) & _same_sign(findings) & ~findings["metric"].isin(withdrawn)).sum()),
         weights=_weights(trials),
         questions=QUESTIONS,
-        answers=answers(ours, people),
-        paper_answers=answers(paper),
+        answers=answer_questions(ours, people),
+        paper_answers=answer_questions(paper),
         manifest=manifest,
         **beside,
     )
@@ -231,7 +231,7 @@ def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
 def _unfinished(trials: pd.DataFrame) -> dict[str, int]:
     """Whoever has not played all conditions, and how many they have."""
     games = trials["user"].value_counts()
-    return {user: int(games[user]) for user in lacking(trials)}
+    return {user: int(games[user]) for user in missing_games(trials)}
 
 
 def _other(x: str, y: str, letter: str) -> str:
@@ -257,7 +257,7 @@ def _paired_rows(tests: pd.DataFrame, comparison: pd.DataFrame) -> list[dict[str
 
 def _anova_rows(tests: pd.DataFrame) -> list[dict[str, Any]]:
     """The ANOVAs beside the paper's; the paper prints no F where it found nothing significant."""
-    paper = published("anova").set_index(["family", "metric"]).drop(columns=["df1", "df2"]).add_suffix("_paper")
+    paper = published_results("anova").set_index(["family", "metric"]).drop(columns=["df1", "df2"]).add_suffix("_paper")
     anovas = tests[tests["test"] == "rm_anova"].join(paper, on=["family", "metric"])
     return anovas.fillna({"p_reported_paper": ""}).to_dict("records")
 
@@ -275,7 +275,7 @@ def _same_sign(findings: pd.DataFrame) -> pd.Series:
 
 def _weights(trials: pd.DataFrame) -> list[dict[str, Any]]:
     """Mean and SD of each weight within a game, averaged over the games that used it (section 6.1), and the paper's."""
-    rows = published("weights").to_dict("records")
+    rows = published_results("weights").to_dict("records")
     for row in rows:
         mean, sd = (trials[f"{row['weight']}_{statistic}"] for statistic in ("mean", "sd"))
         row |= {"games": mean.count(), "our_mean": mean.mean(), "our_sd": sd.mean()}
@@ -295,7 +295,7 @@ def gather(places: Iterable[str | Path], mixed: bool = False) -> Group:
     Raises:
         ValueError: what `merge` and `guidance.statistics.tests.check_trials` refuse.
     """
-    files = found_below(places, TRIALS)
+    files = find_files(places, TRIALS)
     manifests = {str(file.parent): _manifest(file) for file in files}
     manifest = next(iter(manifests.values())) if len(files) == 1 else {"runs": manifests}
     if len({one.get("study_hash") for one in manifests.values()}) > 1:

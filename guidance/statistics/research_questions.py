@@ -44,7 +44,7 @@ CONTRASTS = {
 }
 
 
-def answers(pairs: pd.DataFrame, people: bool = False) -> dict[str, list[str]]:
+def answer_questions(pairs: pd.DataFrame, people: bool = False) -> dict[str, list[str]]:
     """Answer RQ1-RQ4, a sentence per contrast.
 
     Args:

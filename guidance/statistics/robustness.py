@@ -37,7 +37,7 @@ def scores_of(trials: pd.DataFrame, outcomes: pd.DataFrame) -> dict[str, float]:
         for evidence in EVIDENCE
     }
     scores["replicated"] = sum(scores.values())
-    scores |= {name: int(found.eq(name).sum()) for name in ("reversed", "wrongly_significant")}
+    scores |= {name: int(found.eq(name).sum()) for name in ("reversed", "false_positives")}
     scores |= {name: trials[f"{name}_mean"].mean() for name in ("w_unc_optimal", "w_unc_user", "w_sim")}
     unguided = trials.loc[trials["condition"] == "nhg"]
     return scores | {
@@ -72,7 +72,7 @@ def wrong_over(outcomes: pd.DataFrame) -> pd.DataFrame:
     """Each comparison that the paper did not find significant, per group: the share of studies in which it is."""
     others = outcomes[outcomes["id"].eq("")]
     keys = ["group", "family", "metric", "x", "y", "paper"]
-    return others.groupby(keys, sort=False)["outcome"].agg(lambda c: c.eq("wrongly_significant").mean()).reset_index()
+    return others.groupby(keys, sort=False)["outcome"].agg(lambda c: c.eq("false_positives").mean()).reset_index()
 
 
 def ua_over(outcomes: pd.DataFrame) -> pd.DataFrame:

@@ -82,7 +82,7 @@ TESTS_DTYPES = (
     | dict.fromkeys(["statistic", "df1", "df2", "epsilon", "p", "p_corrected", "eta_squared", "dz"], "float64")
     | dict.fromkeys(["rank_statistic", "rank_p", "rank_p_corrected"], "float64")
     | dict.fromkeys(["mean_difference", "ci_low", "ci_high"], "float64")
-    | {"greater": "str", "gated": "bool", "significant": "bool", "proxy": "bool"}
+    | {"greater": "str", "anova_not_significant": "bool", "significant": "bool", "proxy": "bool"}
 )
 
 
@@ -105,8 +105,8 @@ def run_tests(trials: pd.DataFrame, people: bool = False) -> pd.DataFrame:
         for and the paper does not report: Friedman's chi squared, or Wilcoxon's W with the same Bonferroni correction;
         `epsilon` Greenhouse-Geisser; `p` uncorrected; `p_corrected` by Greenhouse-Geisser (ANOVA) or Bonferroni (post
         hoc), else `p`; `eta_squared` partial; `dz` = mean / SD of the differences x - y; `mean_difference` x - y in
-        the metric's unit with its 95 % interval `ci_low`, `ci_high`; `gated` a post hoc test whose ANOVA was not
-        significant, which the paper does not run; `significant` p_corrected < .05 and not gated; `proxy` a rating
+        the metric's unit with its 95 % interval `ci_low`, `ci_high`; `anova_not_significant` a post hoc test whose ANOVA was not
+        significant, which the paper does not run; `significant` p_corrected < .05 and not anova_not_significant; `proxy` a rating
         that is a proxy. Where the differences do not vary, the statistic and the p are NaN.
 
     Raises:
@@ -154,12 +154,12 @@ def check_trials(trials: pd.DataFrame, people: bool = False) -> None:
     games = trials.groupby(["user", "condition"]).size()
     if named := ", ".join(f"{user} {condition}" for user, condition in games[games > 1].index):
         raise ValueError(f"more than one game of a participant in a condition: {named}")
-    named = "; ".join(f"{user} lacks {', '.join(names)}" for user, names in lacking(trials).items())
+    named = "; ".join(f"{user} lacks {', '.join(names)}" for user, names in missing_games(trials).items())
     if named and not people:
         raise ValueError(f"every participant must have played every condition: {named}")
 
 
-def lacking(trials: pd.DataFrame) -> dict[str, list[str]]:
+def missing_games(trials: pd.DataFrame) -> dict[str, list[str]]:
     """Whoever has not played all conditions that are in the trials, and which ones."""
     games = trials.groupby(["user", "condition"]).size().unstack(fill_value=0)
     absent = {user: [name for name in games if row[name] == 0] for user, row in games.iterrows()}
@@ -171,13 +171,13 @@ def _compare(scores: pd.DataFrame) -> list[dict[str, Any]]:
     pairs = list(combinations(scores, 2))
     if len(pairs) == 1:
         row = _paired_t(scores, *pairs[0])
-        return [row | _verdict("paired_t", row["p"], gated=False)]
+        return [row | _verdict("paired_t", row["p"], anova_not_significant=False)]
     anova = _rm_anova(scores)
-    gated = not anova["p_corrected"] < ALPHA  # a NaN gates too
+    anova_not_significant = not anova["p_corrected"] < ALPHA  # a NaN gates too
     posthoc = [_paired_t(scores, *pair) for pair in pairs]
-    return [anova | _verdict("rm_anova", anova["p_corrected"], gated=False)] + [
+    return [anova | _verdict("rm_anova", anova["p_corrected"], anova_not_significant=False)] + [
         row
-        | _verdict("posthoc", _bonferroni(row["p"], len(pairs)), gated)
+        | _verdict("posthoc", _bonferroni(row["p"], len(pairs)), anova_not_significant)
         | {"rank_p_corrected": _bonferroni(row.get("rank_p", np.nan), len(pairs))}
         for row in posthoc
     ]
@@ -187,9 +187,14 @@ def _bonferroni(p: float, tests: int) -> float:
     return min(1.0, tests * p) if p >= 0 else np.nan
 
 
-def _verdict(test: str, p_corrected: float, gated: bool) -> dict[str, Any]:
-    significant = bool(p_corrected < ALPHA and not gated)
-    return {"test": test, "p_corrected": p_corrected, "gated": gated, "significant": significant}
+def _verdict(test: str, p_corrected: float, anova_not_significant: bool) -> dict[str, Any]:
+    significant = bool(p_corrected < ALPHA and not anova_not_significant)
+    return {
+        "test": test,
+        "p_corrected": p_corrected,
+        "anova_not_significant": anova_not_significant,
+        "significant": significant,
+    }
 
 
 def _constant(values: np.ndarray, scale: float) -> bool:

@@ -8,14 +8,24 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from airhockey_marl.experiment.validation import check_counts, check_rows, kind_of
-from airhockey_marl.players.inference import rows_of
-from guidance.forces.conditions import ADAPTED, OPTIMAL, USER, Combined, Condition, Guidance, Guided, Target, Toward
+from airhockey_marl.players.inference import make_inference
+from guidance.forces.conditions import (
+    ADAPTED,
+    OPTIMAL,
+    USER,
+    CombinedGuidance,
+    Condition,
+    Guidance,
+    GuidanceOutput,
+    Prediction,
+    SpringGuidance,
+)
 from guidance.study.models import Models
 
 MODELS = (OPTIMAL, USER, ADAPTED)
 
 
-class Guide:
+class BatchedGuidance:
     """Answers for the games of several conditions and the same users, one game per condition and user.
 
     Games are ordered condition by condition: game c * users + u is user u's under condition c. Each is answered alike
@@ -49,21 +59,21 @@ class Guide:
         if ADAPTED in asked and (adapted is None or adapted.batch_size != (users,)):
             raise ValueError(f"adapted: needs the parameters of each of the {users} users")
         on = models.device
-        self._rows = {OPTIMAL: rows_of(models.optimal, device=on), USER: rows_of(models.user, device=on)}
+        self._rows = {OPTIMAL: make_inference(models.optimal, device=on), USER: make_inference(models.user, device=on)}
         if adapted is not None:
-            self._rows[ADAPTED] = rows_of(models.meta, adapted.flatten_keys(".").to_dict(), on)
+            self._rows[ADAPTED] = make_inference(models.meta, adapted.flatten_keys(".").to_dict(), on)
         self._everything = np.arange(len(self.conditions) * users)
         self._plan = Plan(self.conditions, users, self._everything)
 
     @torch.no_grad()
-    def __call__(self, state: np.ndarray, action: np.ndarray, games: np.ndarray | None = None) -> Guided:
+    def __call__(self, state: np.ndarray, action: np.ndarray, games: np.ndarray | None = None) -> GuidanceOutput:
         """Force and weights for states (n, 12) in m and m/s and actions (n, 2), n = conditions x users.
 
         Args:
             games: (k,) int64, ascending: those to answer for, all of them if None.
 
         Returns:
-            `Guided` of float64 tensors: force (k, 2); weights (k,), not a number where a game has none.
+            `GuidanceOutput` of float64 tensors: force (k, 2); weights (k,), not a number where a game has none.
         """
         for name, value, columns in (("state", state, 12), ("action", action, 2)):
             if np.shape(value) != (len(self._everything), columns) or value.dtype.kind != "f":
@@ -80,10 +90,10 @@ class Guide:
         targets = self._targets(torch.from_numpy(state[games]).float())
 
         pulls = [
-            toward.pull(hand[rows], Target(targets.mean[asked], targets.std[asked]))
+            toward.pull(hand[rows], Prediction(targets.mean[asked], targets.std[asked]))
             for toward, rows, asked in plan.pulls
         ]
-        answer = Guided(torch.zeros(len(games), 2), *torch.full((3, len(games)), torch.nan))
+        answer = GuidanceOutput(torch.zeros(len(games), 2), *torch.full((3, len(games)), torch.nan))
         if pulls:
             force = torch.cat([force for force, _ in pulls])
             weight = torch.cat([hand.new_full((len(f),), torch.nan) if w is None else w for f, w in pulls])
@@ -95,28 +105,28 @@ class Guide:
                 if similarity is not None:
                     answer.w_sim[rows] = similarity
         for guidance, rows, asked in plan.others:
-            said = {name: Target(targets.mean[index], targets.std[index]) for name, index in asked.items()}
+            said = {name: Prediction(targets.mean[index], targets.std[index]) for name, index in asked.items()}
             for whole, part in zip(answer, guidance(hand[rows], said), strict=True):
                 if part is not None:
                     whole[rows] = part.float()
-        return Guided(*(part.double() for part in answer))
+        return GuidanceOutput(*(part.double() for part in answer))
 
-    def _targets(self, state: Tensor) -> Target:
+    def _targets(self, state: Tensor) -> Prediction:
         """Mean and STD (asked, 2) that the models say, one after the other, at the states (k, 12), looked ahead."""
         mean, std = [torch.empty(0, 2)], [torch.empty(0, 2)]
         for name, (rows, users) in self._plan.asked.items():
-            ahead = self.models.anticipated(name, state[rows], self.lookahead_seconds).numpy()
+            ahead = self.models.lookahead_state(name, state[rows], self.lookahead_seconds).numpy()
             said = self._rows[name](ahead, users if name == ADAPTED else None)
             mean.append(torch.from_numpy(said[0]))
             std.append(torch.from_numpy(said[1]))
-        return Target(torch.cat(mean), torch.cat(std))
+        return Prediction(torch.cat(mean), torch.cat(std))
 
 
 class Plan:
-    """Who asks which model, and which forces are computed together, for certain games of a `Guide`.
+    """Who asks which model, and which forces are computed together, for certain games of a `BatchedGuidance`.
 
     Springs of one kind pull all the hands that hang on them in one call, whatever the condition and the model: small
-    calls cost what large ones do. Any other guidance than `Toward` and `Combined` is asked by itself.
+    calls cost what large ones do. Any other guidance than `SpringGuidance` and `CombinedGuidance` is asked by itself.
 
     Attributes:
         games: (k,) those that are played; a row is a place in it.
@@ -148,7 +158,7 @@ class Plan:
                 rows = np.concatenate(asking)
                 self.asked[name] = rows, games[rows] % users
 
-        kinds: dict[tuple, dict[tuple[Toward, int], np.ndarray]] = {}
+        kinds: dict[tuple, dict[tuple[SpringGuidance, int], np.ndarray]] = {}
         for guidance, rows in playing:
             for part in _springs(guidance):
                 kinds.setdefault((part.spring, part.uncertainty), {})[part, rows[0]] = rows
@@ -168,7 +178,7 @@ class Plan:
             if not _springs(guidance):
                 asked = {name: torch.from_numpy(answers[name, rows[0]]) for name in guidance.models()}
                 self.others.append((guidance, torch.from_numpy(rows), asked))
-            elif type(guidance) is Combined:
+            elif type(guidance) is CombinedGuidance:
                 both = (forces[part, rows[0]] for part in (guidance.optimal, guidance.user))
                 together.setdefault(guidance.similarity, []).append((guidance, rows, *both))
             else:
@@ -177,10 +187,10 @@ class Plan:
         self.joins = [(first[0][0], *_joined([pair[1:] for pair in first], 3)) for first in together.values()]
 
 
-def _springs(guidance: Guidance) -> tuple[Toward, ...]:
+def _springs(guidance: Guidance) -> tuple[SpringGuidance, ...]:
     """The springs a guidance is made of, if it is one of ours."""
-    parts = (guidance.optimal, guidance.user) if type(guidance) is Combined else (guidance,)
-    return parts if all(type(part) is Toward for part in parts) else ()
+    parts = (guidance.optimal, guidance.user) if type(guidance) is CombinedGuidance else (guidance,)
+    return parts if all(type(part) is SpringGuidance for part in parts) else ()
 
 
 class _Numbered(dict):

@@ -5,7 +5,7 @@ import torch
 from scipy.optimize import brentq
 from torch import Tensor
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.evaluation.matches import play_rounds
 from airhockey_marl.experiment.command import (
     InputError,
@@ -14,12 +14,12 @@ from airhockey_marl.players.players import Player
 from guidance.forces.conditions import ADAPTED, OPTIMAL
 from guidance.forces.equations import uncertainty_weight
 from guidance.study.models import Models
-from guidance.user_model.maml import forward_each
+from guidance.user_model.maml import forward_stacked
 
 NEW_ROUND = 0.1  # m, further than a paddle moves in a tick: it has been put back
 
 
-def fitting_opponent(trials: dict[int, dict[str, float]], win_rate: list[float], round_seconds: list[float]) -> int:
+def select_opponent(trials: dict[int, dict[str, float]], win_rate: list[float], round_seconds: list[float]) -> int:
     """The newest generation within both ranges.
 
     Raises:
@@ -37,7 +37,7 @@ def fitting_opponent(trials: dict[int, dict[str, float]], win_rate: list[float],
 
 
 @torch.no_grad()
-def leads_of(
+def target_lead(
     models: Models, demonstrations: list[tuple[Tensor, Tensor]], games: int, lookahead_seconds: float
 ) -> np.ndarray:
     """By how much UPHG's target (UA) leads the hand, in s: the slope of their distance over the hand's velocity.
@@ -48,12 +48,12 @@ def leads_of(
     Returns:
         (people,)
     """
-    adapted, tick, leads = models.adapted_to(demonstrations[::games]), Table().tick, []
+    adapted, tick, leads = models.adapted_to(demonstrations[::games]), TableSpec().tick, []
     for person in range(len(adapted)):
         distances, velocities = [], []
         for observation, action in demonstrations[person * games + 1 : (person + 1) * games]:
-            anticipated = models.anticipated(ADAPTED, observation[1:], lookahead_seconds)
-            target = forward_each(models.meta, adapted[person : person + 1], anticipated[None])[0][0]
+            anticipated = models.lookahead_state(ADAPTED, observation[1:], lookahead_seconds)
+            target = forward_stacked(models.meta, adapted[person : person + 1], anticipated[None])[0][0]
             hand, velocity = action[:-1], action.diff(dim=0) / tick
             in_one_round = (observation.diff(dim=0)[:, :2].norm(dim=1) < NEW_ROUND)[:, None]
             distances.append((target - hand) * in_one_round)
@@ -63,20 +63,20 @@ def leads_of(
     return np.array(leads)
 
 
-def optimal_wins(models: Models, opponent: Player, lookahead_seconds: float, seed: int) -> float:
+def lookahead_win_rate(models: Models, opponent: Player, lookahead_seconds: float, seed: int) -> float:
     """Share of decided rounds that the optimal action model itself wins, asked every tick about the looked-ahead state.
 
     No rule rests on it. But it says what OAHG can hope for: an action that is right in a while is not right now.
     """
 
     def looking_ahead(observation: Tensor) -> Tensor:
-        return models.optimal(models.anticipated(OPTIMAL, observation, lookahead_seconds))[0]
+        return models.optimal(models.lookahead_state(OPTIMAL, observation, lookahead_seconds))[0]
 
-    won, lost, _ = play_rounds(looking_ahead, opponent, 100, 4, seed, decision_ticks=1).sum(axis=0)
+    won, lost, _ = play_rounds(looking_ahead, opponent, 100, 4, seed, frame_skip=1).sum(axis=0)
     return float(won / (won + lost))
 
 
-def stiffest(lead: np.ndarray, damping: np.ndarray, share: float, of_people: float, step: float) -> float:
+def max_stable_stiffness(lead: np.ndarray, damping: np.ndarray, share: float, of_people: float, step: float) -> float:
     """The largest K, a multiple of `step` in N/m, for which K lead <= share * damping holds for so many of the people.
 
     Args:
@@ -100,9 +100,9 @@ def predicted_std(
     optimal, user = [], []
     for i, (observation, _) in enumerate(demonstrations):
         if i % games:
-            optimal.append(models.optimal(models.anticipated(OPTIMAL, observation, lookahead_seconds))[1])
-            anticipated = models.anticipated(ADAPTED, observation, lookahead_seconds)
-            user.append(forward_each(models.meta, adapted[i // games : i // games + 1], anticipated[None])[1][0])
+            optimal.append(models.optimal(models.lookahead_state(OPTIMAL, observation, lookahead_seconds))[1])
+            anticipated = models.lookahead_state(ADAPTED, observation, lookahead_seconds)
+            user.append(forward_stacked(models.meta, adapted[i // games : i // games + 1], anticipated[None])[1][0])
     return {"optimal": torch.cat(optimal), "user": torch.cat(user)}
 
 

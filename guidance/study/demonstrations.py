@@ -5,24 +5,24 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.validation import check_arrays, check_counts
 from airhockey_marl.players.players import Player
-from guidance.simulated_users import Mentors, Users
-from guidance.study.games import Rink
-from guidance.study.protocol import streams
+from guidance.simulated_users import Advisors, SimulatedUsers
+from guidance.study.games import GameRunner
+from guidance.study.protocol import spawn_rng_states
 from guidance.user_model.data import Demonstrations
 
 
 @torch.no_grad()
-def collect(
+def collect_demonstrations(
     people: np.ndarray,
     opponent: Player,
     games: int,
     ticks: int,
-    table: Table,
+    table: TableSpec,
     variant: str,
-    mentors: Mentors,
+    mentors: Advisors,
     seed: int,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Demonstrations:
@@ -41,10 +41,10 @@ def collect(
     n = users * games
 
     def game_streams(purpose: int) -> np.ndarray:
-        return np.stack([streams(seed, range(users), game, purpose) for game in range(games)], axis=1).ravel()
+        return np.stack([spawn_rng_states(seed, range(users), game, purpose) for game in range(games)], axis=1).ravel()
 
-    players = Users(np.repeat(people, games), game_streams(2), table, variant, mentors)
-    rink = Rink(players, opponent, table, game_streams(3))
+    players = SimulatedUsers(np.repeat(people, games), game_streams(2), table, variant, mentors)
+    rink = GameRunner(players, opponent, table, game_streams(3))
     rink.new_games()
     observation, action = np.empty((ticks, n, 12), dtype=np.float32), np.empty((ticks, n, 2), dtype=np.float32)
     for tick in range(ticks):

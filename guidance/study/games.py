@@ -13,13 +13,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, Table
-from airhockey_marl.envs.world import Tables
+from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec
+from airhockey_marl.envs.world import World
 from airhockey_marl.experiment.validation import check_arrays, check_rows
 from airhockey_marl.players.players import Player
-from guidance.forces.conditions import Guided
-from guidance.study.metrics import Moments, disagreement, new_sheets, record, results
-from guidance.study.protocol import Protocol, Schedule
+from guidance.forces.conditions import GuidanceOutput
+from guidance.study.metrics import RunningMoments, disagreement, metric_values, new_counters, record
+from guidance.study.protocol import Protocol, ProtocolState
 
 
 class Participants(Interface):
@@ -35,16 +35,16 @@ class Participants(Interface):
     def step(self, state: np.ndarray, force: np.ndarray, rows: np.ndarray) -> np.ndarray: ...
 
 
-Forces = Callable[[np.ndarray, np.ndarray, np.ndarray], Guided]
+Forces = Callable[[np.ndarray, np.ndarray, np.ndarray], GuidanceOutput]
 """States (n, 12), actions (n, 2) and k games -> their forces and weights."""
 
 
-def no_force(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> Guided:
+def no_force(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> GuidanceOutput:
     """NHG for everyone."""
-    return Guided(torch.zeros(len(games), 2, dtype=torch.float64))
+    return GuidanceOutput(torch.zeros(len(games), 2, dtype=torch.float64))
 
 
-class Tick(NamedTuple):
+class GameStep(NamedTuple):
     """What one tick of n games was; its arrays are written anew by the next one.
 
     Attributes:
@@ -59,11 +59,11 @@ class Tick(NamedTuple):
     state: np.ndarray
     before: np.ndarray
     action: np.ndarray
-    guided: Guided
+    guided: GuidanceOutput
     goals: np.ndarray
 
 
-class Rink:
+class GameRunner:
     """n tables with a participant at each left seat and one opponent at all the right ones.
 
     Args:
@@ -74,10 +74,10 @@ class Rink:
         puck_before: (n, 4) the pucks before the last tick.
     """
 
-    def __init__(self, participants: Participants, opponent: Player, table: Table, serves: np.ndarray) -> None:
+    def __init__(self, participants: Participants, opponent: Player, table: TableSpec, serves: np.ndarray) -> None:
         check_arrays("u", serves=(serves, "n"))
         n = len(serves)
-        self.participants, self.opponent, self.tables = participants, opponent, Tables(n, table)
+        self.participants, self.opponent, self.tables = participants, opponent, World(n, table)
         self.tables.rng[:] = serves
         self.everyone, self._all = np.ones(n, dtype=bool), np.arange(n)
         self._seen, self._seen_by_opponent = np.empty((n, 12)), np.empty((n, 12), dtype=np.float32)
@@ -93,7 +93,7 @@ class Rink:
         self.tables.new_rounds(which)
         self.participants.new_round(which)
 
-    def tick(self, forces: Forces = no_force, games: np.ndarray | None = None) -> Tick:
+    def tick(self, forces: Forces = no_force, games: np.ndarray | None = None) -> GameStep:
         """Play one tick at the tables `games` (k,), at all of them if None."""
         if games is None:
             games = self._all
@@ -109,18 +109,18 @@ class Rink:
         tables.observe(RIGHT, self._seen_by_opponent)
         actions[games, RIGHT] = self.opponent(torch.from_numpy(self._seen_by_opponent[games])).numpy()
         tables.step(actions, rows=games)
-        return Tick(games, self._seen, before, actions[:, LEFT], guided, tables.goals)
+        return GameStep(games, self._seen, before, actions[:, LEFT], guided, tables.goals)
 
 
-class Scoring:
+class MetricsRecorder:
     """The objective metrics of the games on a rink, and the moments of their weights, kept tick by tick."""
 
-    def __init__(self, rink: Rink) -> None:
+    def __init__(self, rink: GameRunner) -> None:
         n = len(rink.everyone)
-        self.rink, self._sheets = rink, new_sheets(n)
-        self._weights = {name: Moments(n) for name in Guided._fields[1:]}
+        self.rink, self._sheets = rink, new_counters(n)
+        self._weights = {name: RunningMoments(n) for name in GuidanceOutput._fields[1:]}
 
-    def add(self, tick: Tick) -> None:
+    def add(self, tick: GameStep) -> None:
         """Enter the tick that the rink has just played."""
         rink, tables = self.rink, self.rink.tables
         disagreed = disagreement(rink.force, tick.action - tick.before)
@@ -132,7 +132,7 @@ class Scoring:
 
     def results(self) -> dict[str, np.ndarray]:
         """The objective metrics so far, (n,) each."""
-        return results(self._sheets)
+        return metric_values(self._sheets)
 
     def weights(self) -> dict[str, np.ndarray]:
         """Mean and SD (n,) of each weight so far."""
@@ -164,11 +164,11 @@ def play_games(
     opponent: Player,
     forces: Forces,
     protocol: Protocol,
-    table: Table,
+    table: TableSpec,
     serves: np.ndarray,
     keep_demonstrations: bool = False,
     progress: Callable[[float], None] = lambda share: None,
-    watching: Callable[[Tick, bool, np.ndarray], None] = lambda tick, scored, ended: None,
+    watching: Callable[[GameStep, bool, np.ndarray], None] = lambda tick, scored, ended: None,
 ) -> Games:
     """Play one game at each of n tables; participants sit at the left seat.
 
@@ -181,9 +181,9 @@ def play_games(
         watching: is shown every tick, whether it is scored, and the mask (n,) of the rounds that end with it.
     """
     n = len(serves)
-    rink, schedule = Rink(participants, opponent, table, serves), Schedule(n, protocol, table.tick)
+    rink, schedule = GameRunner(participants, opponent, table, serves), ProtocolState(n, protocol, table.tick)
     rink.new_games()
-    scoring = Scoring(rink)
+    scoring = MetricsRecorder(rink)
     trail: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     while len(games := schedule.playing):

@@ -17,7 +17,7 @@ from numba import njit
 
 from airhockey_marl.experiment.validation import check_arrays, check_counts, check_rows, kind_of
 
-GAME_SHEET = np.dtype(
+METRIC_COUNTERS = np.dtype(
     [
         ("won", np.int64),
         ("lost", np.int64),
@@ -33,10 +33,10 @@ GAME_SHEET = np.dtype(
 )
 
 
-def new_sheets(n: int) -> np.ndarray:
-    """Blank sheets for n games: (n,) of `GAME_SHEET`."""
+def new_counters(n: int) -> np.ndarray:
+    """Blank sheets for n games: (n,) of `METRIC_COUNTERS`."""
     check_counts(n=n)
-    return np.zeros(n, dtype=GAME_SHEET)
+    return np.zeros(n, dtype=METRIC_COUNTERS)
 
 
 def disagreement(force: np.ndarray, action_change: np.ndarray) -> np.ndarray:
@@ -102,7 +102,7 @@ def record(sheets, games, before, after, touched, served, goals, disagreed, tabl
     """Enter one tick of play into the sheets of some games.
 
     Args:
-        sheets: (n,) `GAME_SHEET`.
+        sheets: (n,) `METRIC_COUNTERS`.
         games: (k,) int64, those that are scored.
         before, after: (n, 4) the puck (x, y, vx, vy) around the tick, the user's goal at x = -length / 2.
         touched: (n,) bits: 1 the user, 2 the opponent.
@@ -121,9 +121,9 @@ def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
     return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)
 
 
-def results(sheets: np.ndarray) -> dict[str, np.ndarray]:
+def metric_values(sheets: np.ndarray) -> dict[str, np.ndarray]:
     """The four metrics of each game, (n,) each; not a number where a game gave nothing to measure."""
-    if sheets.dtype != GAME_SHEET or sheets.ndim != 1:
+    if sheets.dtype != METRIC_COUNTERS or sheets.ndim != 1:
         raise ValueError(f"sheets: {kind_of(sheets)}, must be GAME_SHEET of shape (n,)")
     return {
         "win_rate": _ratio(sheets["won"], sheets["won"] + sheets["lost"]),
@@ -144,7 +144,7 @@ def _add(games, values, count, mean, squares):
             squares[i] += change * (value - mean[i])
 
 
-class Moments:
+class RunningMoments:
     """Running mean and standard deviation of a weight within each game (Welford), in memory flat in its length."""
 
     def __init__(self, n: int) -> None:

@@ -8,12 +8,12 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.files import load_tensors, save_tensors, sha256
 from airhockey_marl.league.league import League, require_finite, require_weights
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.forces.conditions import OPTIMAL
-from guidance.forces.equations import lookahead
+from guidance.forces.equations import lookahead_state
 from guidance.user_model.maml import parameters
 from guidance.user_model.rounds import action_ahead
 from guidance.user_model.training import adapt_to_user
@@ -59,7 +59,7 @@ class Models:
         inner_lr: alpha of Eq. 1, with which `meta` was trained.
         ahead: s after the state, at which `user` and `meta` predict the action; 0 in the paper.
         hashes: SHA-256 of the file of each.
-        device: on which they are asked, see `inference.rows_of`.
+        device: on which they are asked, see `inference.make_inference`.
     """
 
     optimal: GaussianPolicy
@@ -108,10 +108,10 @@ class Models:
         Returns:
             The adapted parameters, batch size (users,).
         """
-        theta, table = parameters(self.meta), Table()
+        theta, table = parameters(self.meta), TableSpec()
         own = [(x[None], action_ahead(x, y, self.ahead, table)[None]) for x, y in demonstrations]
         return torch.cat([adapt_to_user(self.meta, theta, x, y, self.inner_lr) for x, y in own])
 
-    def anticipated(self, model: str, state: Tensor, seconds: float) -> Tensor:
+    def lookahead_state(self, model: str, state: Tensor, seconds: float) -> Tensor:
         """The looked-ahead state of Eq. 4, for one of the models: only as far as it does not look ahead itself."""
-        return lookahead(state, seconds if model == OPTIMAL else max(seconds - self.ahead, 0.0))
+        return lookahead_state(state, seconds if model == OPTIMAL else max(seconds - self.ahead, 0.0))

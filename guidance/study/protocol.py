@@ -33,7 +33,7 @@ class Protocol:
         check_numbers(above=0.0, **labelled(self, "study", "round_seconds"))
 
 
-class Schedule:
+class ProtocolState:
     """Where n games are in the protocol.
 
     Attributes:
@@ -81,7 +81,7 @@ class Schedule:
         return ended
 
 
-def streams(seed: int, users: Sequence[int], condition: int, purpose: int) -> np.ndarray:
+def spawn_rng_states(seed: int, users: Sequence[int], condition: int, purpose: int) -> np.ndarray:
     """(users,) uint64: a stream for each user's game in a condition; purpose 0 is the person, 1 the table."""
     check_counts(0, seed=seed, condition=condition, purpose=purpose)
     for user in users:
@@ -90,11 +90,11 @@ def streams(seed: int, users: Sequence[int], condition: int, purpose: int) -> np
     return np.array([key.generate_state(1, np.uint64)[0] for key in keys], dtype=np.uint64)
 
 
-NO_CONDITION = 99  # in the seeds, the unscored game counts as a condition of its own
-NINE = "abcdefghi"  # the letters of the paper's conditions
+CALIBRATION_GAME = 99  # in the seeds, the unscored game counts as a condition of its own
+PAPER_LETTERS = "abcdefghi"  # the letters of the paper's conditions
 
 
-def williams(conditions: int) -> np.ndarray:
+def williams_design(conditions: int) -> np.ndarray:
     """A Williams design: orders (rows) in which each condition follows each other one equally often.
 
     Returns:
@@ -108,19 +108,19 @@ def williams(conditions: int) -> np.ndarray:
     return square if conditions % 2 == 0 else np.concatenate([square, square[:, ::-1]])
 
 
-def balanced(users: int, conditions: int) -> bool:
+def is_balanced(users: int, conditions: int) -> bool:
     """Whether so many users can play so many conditions in the orders of a Williams design, each equally often."""
     check_counts(users=users)
-    return users % len(williams(conditions)) == 0
+    return users % len(williams_design(conditions)) == 0
 
 
-def order_of(users: int, conditions: int, seed: int) -> np.ndarray:
+def counterbalanced_order(users: int, conditions: int, seed: int) -> np.ndarray:
     """(users, conditions) the position, from 1, at which each user plays each condition.
 
     Users get the rows of a Williams design in random order; it is balanced where their number is a multiple of its.
     """
     check_counts(users=users)
     check_counts(0, seed=seed)
-    design, rng = williams(conditions), np.random.default_rng([seed, users])
+    design, rng = williams_design(conditions), np.random.default_rng([seed, users])
     rows = np.concatenate([rng.permutation(len(design)) for _ in range(-(-users // len(design)))])[:users]
     return np.argsort(design[rows], axis=1) + 1

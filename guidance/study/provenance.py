@@ -13,7 +13,7 @@ from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.files import sha256
 from airhockey_marl.league.league import League
-from airhockey_marl.players.inference import steady
+from airhockey_marl.players.inference import greedy_player
 from airhockey_marl.players.players import Player
 from guidance.forces.conditions import Condition
 from guidance.study.models import Models
@@ -23,7 +23,7 @@ VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas
 THE_STUDY = ("users", "guidance", "study", "participants", "opponent")  # with the models, what makes it another one
 
 
-def chosen_conditions(cfg: DictConfig) -> list[Condition]:
+def load_conditions(cfg: DictConfig) -> list[Condition]:
     """The condition of the configuration; without one, all of `conf/condition`, in the order of their letters.
 
     With `beyond` those of `conf/condition/beyond` as well, which are not the paper's.
@@ -43,7 +43,7 @@ def chosen_conditions(cfg: DictConfig) -> list[Condition]:
     return conditions
 
 
-def chosen_models(cfg: DictConfig, device: str = "cpu") -> Models:
+def load_models(cfg: DictConfig, device: str = "cpu") -> Models:
     """The models of the configuration, to be asked on `device`.
 
     Raises:
@@ -53,16 +53,16 @@ def chosen_models(cfg: DictConfig, device: str = "cpu") -> Models:
     return Models.load(files.league, files.get("generation", -1), files.user, files.meta, device)
 
 
-def chosen_opponent(cfg: DictConfig, device: str = "cpu") -> Player:
+def load_opponent(cfg: DictConfig, device: str = "cpu") -> Player:
     """The opponent of the configuration, which plays the mean of what it says, asked on `device`.
 
     Raises:
         ValueError: the file is missing or broken, or the league has no such generation.
     """
-    return steady(League.load(cfg.models.opponents).player(cfg.opponent), device)
+    return greedy_player(League.load(cfg.models.opponents).player(cfg.opponent), device)
 
 
-def hashes_of(cfg: DictConfig, models: Models) -> dict[str, str]:
+def file_hashes(cfg: DictConfig, models: Models) -> dict[str, str]:
     """SHA-256 of every file that a study rests on, by what it is for."""
     files = {"opponents": cfg.models.opponents, "mentors": cfg.users.mentors}
     return models.hashes | {name: sha256(path) for name, path in files.items() if path is not None}

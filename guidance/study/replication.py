@@ -11,13 +11,13 @@ import pandas as pd
 import torch
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment import parallel as cluster
 from airhockey_marl.experiment.building import build
-from guidance.simulated_users import Population, load_mentors, sample_people
+from guidance.simulated_users import Population, load_advisors, sample_people
 from guidance.simulated_users.population import TRAITS
-from guidance.study.provenance import chosen_conditions, chosen_models, chosen_opponent
-from guidance.study.sensitivity import changed, latin_hypercube
+from guidance.study.provenance import load_conditions, load_models, load_opponent
+from guidance.study.sensitivity import latin_hypercube, scale_assumptions
 from guidance.study.study import Cohort, run_studies
 
 # groups of studies: that assume what the study assumes; that leave UA nothing to do; and by the name of their variant,
@@ -51,7 +51,7 @@ class Batch:
             return usual
         if self.group == ALIKE:
             return replace(usual, trait_concentration=float("inf"), archetypes={"alike": [0.5] * len(TRAITS)})
-        return changed(usual, factors.loc[study])
+        return scale_assumptions(usual, factors.loc[study])
 
 
 class Studies:
@@ -64,10 +64,10 @@ class Studies:
     def __init__(self, cfg: DictConfig) -> None:
         self.cfg = cfg
         self.population: Population = build(cfg.users.population)
-        self.models = chosen_models(cfg, cfg.device)
-        self.opponent = chosen_opponent(cfg, cfg.device)
-        self.mentors = load_mentors(cfg.users.mentors)
-        self.conditions, self.protocol = chosen_conditions(cfg), build(cfg.study)
+        self.models = load_models(cfg, cfg.device)
+        self.opponent = load_opponent(cfg, cfg.device)
+        self.mentors = load_advisors(cfg.users.mentors)
+        self.conditions, self.protocol = load_conditions(cfg), build(cfg.study)
         self.factors = assumptions(cfg, self.population)
 
     def play(self, batch: Batch, progress: Callable[[str, float], None] = lambda what, share: None) -> pd.DataFrame:
@@ -78,7 +78,7 @@ class Studies:
             drawn_from = batch.population(self.population, self.factors, study)
             cohorts.append(Cohort(sample_people(cfg.participants, cfg.seed + study, drawn_from), cfg.seed + study))
         scales = OmegaConf.to_container(cfg.users.scales)
-        how = (cfg.guidance.lookahead, self.protocol, Table(), batch.variant, self.mentors, scales, progress)
+        how = (cfg.guidance.lookahead, self.protocol, TableSpec(), batch.variant, self.mentors, scales, progress)
         swapped = batch.group == SWAPPED
         trials = run_studies(cohorts, self.conditions, self.models, self.opponent, *how, swapped=swapped)
         return pd.concat([t.assign(group=batch.group, study=k) for k, t in zip(batch.studies, trials, strict=True)])
@@ -105,7 +105,7 @@ def on_ray(
     """
     import ray
 
-    cluster.join(cfg.ray)
+    cluster.join_ray_cluster(cfg.ray)
     task = ray.remote(num_cpus=1)(_play_alone)
     plain = OmegaConf.to_container(cfg, resolve=True)
     waiting, failure = {task.remote(plain, batch): batch for batch in batches}, None
@@ -147,5 +147,5 @@ def assumptions(cfg: DictConfig, population: Population) -> pd.DataFrame:
         return pd.DataFrame(columns=names)
     factors = latin_hypercube(names, points, cfg.sensitivity.largest, cfg.seed)
     for _, row in factors.iterrows():
-        changed(population, row)  # refuses a name or a value before any work
+        scale_assumptions(population, row)  # refuses a name or a value before any work
     return factors.set_index(np.arange(cfg.n, cfg.n + points))

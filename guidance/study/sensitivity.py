@@ -32,7 +32,7 @@ def latin_hypercube(parameters: Sequence[str], points: int, largest: float, seed
     return pd.DataFrame(largest ** (2 * unit - 1), columns=list(parameters))
 
 
-def changed(population: Population, factors: Mapping[str, float]) -> Population:
+def scale_assumptions(population: Population, factors: Mapping[str, float]) -> Population:
     """The population with each named parameter multiplied by its factor.
 
     Of a law, its median and the limits it is clipped to; of a share, what it is scaled by; no share exceeds 1. What an

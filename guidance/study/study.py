@@ -13,14 +13,14 @@ import numpy as np
 import pandas as pd
 import torch
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.players.players import Player
-from guidance.forces.conditions import Condition, Guided
-from guidance.simulated_users import Mentors, Users
-from guidance.study.batched_guidance import Guide
+from guidance.forces.conditions import Condition, GuidanceOutput
+from guidance.simulated_users import Advisors, SimulatedUsers
+from guidance.study.batched_guidance import BatchedGuidance
 from guidance.study.games import Forces, no_force, play_games
 from guidance.study.models import Models
-from guidance.study.protocol import NINE, NO_CONDITION, Protocol, order_of, streams
+from guidance.study.protocol import CALIBRATION_GAME, PAPER_LETTERS, Protocol, counterbalanced_order, spawn_rng_states
 
 
 @dataclass(frozen=True)
@@ -48,20 +48,20 @@ def run_studies(
     opponent: Player,
     lookahead_seconds: float,
     protocol: Protocol,
-    table: Table,
+    table: TableSpec,
     variant: str,
-    mentors: Mentors,
+    mentors: Advisors,
     rating_scales: dict[str, float],
     progress: Callable[[str, float], None] = lambda what, share: None,
     swapped: bool = False,
-    answered: Callable[[Guided, np.ndarray], None] = lambda guided, games: None,
+    answered: Callable[[GuidanceOutput, np.ndarray], None] = lambda guided, games: None,
 ) -> list[pd.DataFrame]:
     """Put simulated people through the whole protocol, all studies side by side.
 
     Args:
         progress: is told what is going on, and the share of it that is done.
         swapped: for UA, everybody's game is taken for somebody else's: a negative control.
-        answered: is shown every answer to the games (k,), which are ordered condition by condition, as in `Guide`.
+        answered: is shown every answer to the games (k,), which are ordered condition by condition, as in `BatchedGuidance`.
 
     Returns:
         Per study one row per user and condition: the columns of `trials.csv`.
@@ -70,24 +70,24 @@ def run_studies(
 
     def games_of(games: Sequence[int], forces: Forces, what: str, demonstrations: bool = False):
         minds, serves = (
-            np.concatenate([streams(c.seed, range(len(c.people)), game, p) for game in games for c in cohorts])
+            np.concatenate([spawn_rng_states(c.seed, range(len(c.people)), game, p) for game in games for c in cohorts])
             for p in (0, 1)
         )
-        participants = Users(np.tile(people, len(games)), minds, table, variant, mentors)
+        participants = SimulatedUsers(np.tile(people, len(games)), minds, table, variant, mentors)
         return participants, play_games(
             participants, opponent, forces, protocol, table, serves, demonstrations, partial(progress, what)
         )
 
     adapted = None
     if any("adapted" in condition.guidance.models() for condition in conditions):
-        _, unscored = games_of([NO_CONDITION], no_force, "unscored game", demonstrations=True)
+        _, unscored = games_of([CALIBRATION_GAME], no_force, "unscored game", demonstrations=True)
         adapted = models.adapted_to(unscored.demonstrations)
         if swapped:
             adapted = adapted[_neighbours([len(cohort.people) for cohort in cohorts])]
 
-    guide = Guide(conditions, len(people), models, adapted, lookahead_seconds)
+    guide = BatchedGuidance(conditions, len(people), models, adapted, lookahead_seconds)
 
-    def forces(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> Guided:
+    def forces(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> GuidanceOutput:
         guided = guide(state, action, games)
         answered(guided, games)
         return guided
@@ -120,14 +120,14 @@ def _neighbours(sizes: Sequence[int]) -> torch.Tensor:
 def _table_of(cohort: Cohort, conditions: Sequence[Condition], columns: dict[str, np.ndarray]) -> pd.DataFrame:
     """`trials.csv` of a study from columns (conditions, users)."""
     users = len(cohort.people)
-    position = order_of(users, len(NINE), cohort.seed)
-    beyond = sorted(c.letter for c in conditions if c.letter not in NINE)  # played after the paper's
+    position = counterbalanced_order(users, len(PAPER_LETTERS), cohort.seed)
+    beyond = sorted(c.letter for c in conditions if c.letter not in PAPER_LETTERS)  # played after the paper's
     rows = []
     for c, condition in enumerate(conditions):
         for u in range(users):
             row: dict[str, object] = {"user": f"S{u + 1:02d}", "condition": condition.name}
-            nth = NINE.find(condition.letter)
-            row["position"] = position[u, nth] if nth >= 0 else len(NINE) + 1 + beyond.index(condition.letter)
+            nth = PAPER_LETTERS.find(condition.letter)
+            row["position"] = position[u, nth] if nth >= 0 else len(PAPER_LETTERS) + 1 + beyond.index(condition.letter)
             row |= {name: values[c, u] for name, values in columns.items()}
             if condition.letter == "a":
                 row["mean_disagreement"] = np.nan  # there is no force to disagree with (section 5.2)

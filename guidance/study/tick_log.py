@@ -15,11 +15,11 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from guidance.forces.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidance, Guided, Target
-from guidance.haptics.seat import Hand
+from guidance.forces.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidance, GuidanceOutput, Prediction
+from guidance.haptics.seat import HapticHand
 from guidance.simulated_users.arm import HAND_REACH
-from guidance.study.batched_guidance import Guide
-from guidance.study.games import Tick
+from guidance.study.batched_guidance import BatchedGuidance
+from guidance.study.games import GameStep
 from guidance.study.models import Models
 
 STATE = [f"{body}_{part}" for body in ("own", "other", "puck") for part in ("x", "y", "vx", "vy")]
@@ -72,47 +72,47 @@ COLUMNS = MappingProxyType(
 
 
 @dataclass
-class Overheard:
+class PredictionTap:
     """A guidance whose targets can be looked at: it keeps the last ones, and asks models that it may not need."""
 
     guidance: Guidance
     asked: frozenset[str]
-    targets: Mapping[str, Target] = field(default_factory=dict)
+    targets: Mapping[str, Prediction] = field(default_factory=dict)
 
     def models(self) -> frozenset[str]:
         return self.guidance.models() | self.asked
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Target]) -> Guided:
+    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
         self.targets = targets
         return self.guidance(action, targets)
 
     @property
-    def optimal(self) -> Target:
+    def optimal(self) -> Prediction:
         """What the optimal action model said last, (1, 2) each."""
         return self.targets[OPTIMAL]
 
     @property
-    def predicted(self) -> Target:
+    def predicted(self) -> Prediction:
         """What the user model said last, the adapted one if it was asked."""
         return self.targets[ADAPTED if ADAPTED in self.targets else USER]
 
 
 def scene_facts(condition: Condition, player: str, opponent: str, adapted: bool) -> dict[str, Any]:
-    """What a film of a game under a condition says about it, see `guidance.display.film.Scene`; plain JSON."""
+    """What a film of a game under a condition says about it, see `guidance.display.film.FilmInfo`; plain JSON."""
     used = sorted({"optimal" if model == OPTIMAL else "predicted" for model in condition.guidance.models()})
     return {"title": condition.label, "player": player, "opponent": opponent, "used": used, "adapted": adapted}
 
 
-def overheard_guide(
+def tapped_guidance(
     condition: Condition, models: Models, adapted: TensorDict | None, lookahead_seconds: float
-) -> tuple[Guide, Overheard]:
-    """The `Guide` of one person under one condition, and where its targets can be looked at.
+) -> tuple[BatchedGuidance, PredictionTap]:
+    """The `BatchedGuidance` of one person under one condition, and where its targets can be looked at.
 
     Args:
         adapted: their own parameters of the user model, batch size (1,), if they have any.
     """
-    overheard = Overheard(condition.guidance, frozenset({OPTIMAL, USER if adapted is None else ADAPTED}))
-    return Guide([replace(condition, guidance=overheard)], 1, models, adapted, lookahead_seconds), overheard
+    overheard = PredictionTap(condition.guidance, frozenset({OPTIMAL, USER if adapted is None else ADAPTED}))
+    return BatchedGuidance([replace(condition, guidance=overheard)], 1, models, adapted, lookahead_seconds), overheard
 
 
 class TickLog:
@@ -127,11 +127,11 @@ class TickLog:
         time, round, won, lost, scored: how it stands.
     """
 
-    def __init__(self, overheard: Overheard, tick_seconds: float, hand: Hand | None = None) -> None:
+    def __init__(self, overheard: PredictionTap, tick_seconds: float, hand: HapticHand | None = None) -> None:
         self.overheard, self.tick_seconds, self.hand, self.rows = overheard, tick_seconds, hand, []
         self.time, self.round, self.won, self.lost, self.scored = 0.0, 1, 0, 0, False
 
-    def __call__(self, tick: Tick, scored: bool, ended: bool) -> dict[str, float]:
+    def __call__(self, tick: GameStep, scored: bool, ended: bool) -> dict[str, float]:
         """Write down a tick of a game that counts or not, and whether the round ended with it; returns its row."""
         if scored and not self.scored:
             self.time, self.round, self.won, self.lost, self.scored = 0.0, 1, 0, 0, True

@@ -12,8 +12,8 @@ import pyarrow.parquet as pq
 import torch
 from tensordict import TensorDict
 
-from airhockey_marl.envs.physics import Table
-from airhockey_marl.experiment.files import replacing, sha256
+from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.experiment.files import atomic_write, sha256
 from airhockey_marl.experiment.validation import check_arrays
 from guidance.simulated_users.arm import HAND_REACH
 from guidance.user_model.data import Demonstrations
@@ -68,14 +68,14 @@ def write_tensors(path: Path, data: Demonstrations) -> None:
         whole.rename(path)
 
 
-def write_rows(path: Path, data: Demonstrations, archetypes: pd.Series, table: Table) -> None:
+def write_rows(path: Path, data: Demonstrations, archetypes: pd.Series, table: TableSpec) -> None:
     """Write the Parquet file: a row per tick in the order of users, games and ticks; the columns are `COLUMNS`."""
     facts = {name: {"unit": unit, "meaning": meaning} for name, (_, unit, meaning) in COLUMNS.items()}
     fields = [pa.field(name, kind, metadata=facts[name]) for name, (kind, *_) in COLUMNS.items()]
     schema = pa.schema(fields, metadata={"data": ABOUT, "frame": FRAME})
     game, tick = np.indices(data.action.shape[1:3]).reshape(2, -1)
     packing = {"compression": "zstd", "use_dictionary": ["user", "game", "archetype"]}  # of other columns it takes more
-    with replacing(path) as temporary, pq.ParquetWriter(temporary, schema, **packing) as writer:
+    with atomic_write(path) as temporary, pq.ParquetWriter(temporary, schema, **packing) as writer:
         for user, archetype in enumerate(archetypes):
             numbers = torch.cat([data.observation[user], data.action[user]], dim=-1).flatten(0, 1).T.numpy()  # (14, n)
             rows = [np.full(len(tick), user), game, tick, tick * table.tick, [archetype] * len(tick), *numbers]
@@ -104,7 +104,7 @@ def load(folder: Path | str) -> Demonstrations:
     return Demonstrations(tensors["observation"].clone(), tensors["action"].clone())
 
 
-def summary(data: Demonstrations, table: Table) -> pd.DataFrame:
+def summary(data: Demonstrations, table: TableSpec) -> pd.DataFrame:
     """A row per user: goals per minute, mean and SD of the hand's speed in m/s and of the paddle's place in m."""
     begins = round_begins(data.observation, table)
     goal, ahead = begins[..., 1:], data.observation[..., :-1, 8] > 0  # and before it the puck was on the other side

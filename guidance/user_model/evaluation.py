@@ -14,9 +14,9 @@ from scipy import stats
 from tensordict import TensorDict
 from torch import Tensor, nn
 
-from airhockey_marl.envs.physics import Table, reach
+from airhockey_marl.envs.physics import TableSpec, action_range
 from airhockey_marl.experiment.validation import CPU, check_arrays, check_counts, check_numbers, check_tensors
-from guidance.forces.equations import lookahead
+from guidance.forces.equations import lookahead_state
 from guidance.user_model.maml import forward, parameters
 from guidance.user_model.rounds import action_ahead, round_begins
 from guidance.user_model.training import adapt_to_user
@@ -26,20 +26,20 @@ Predictor = Callable[[Tensor, float], tuple[Tensor, Tensor]]
 SIGMAS = {1: 1 - math.exp(-0.5), 2: 1 - math.exp(-2.0)}  # share of a two-dimensional Gaussian within so many STDs
 
 
-def paddle(observation: Tensor, table: Table) -> tuple[Tensor, Tensor]:
+def paddle(observation: Tensor, table: TableSpec) -> tuple[Tensor, Tensor]:
     """Place (..., 2) of the own paddle in units of action, and its velocity (..., 2) per second."""
     check_tensors(CPU, observation=(observation, "... 12"))
-    middle, half = (torch.tensor(part, dtype=observation.dtype) for part in reach(table))
+    middle, half = (torch.tensor(part, dtype=observation.dtype) for part in action_range(table))
     return (observation[..., 0:2] - middle) / half, observation[..., 2:4] / half
 
 
-def persistence(observation: Tensor, action: Tensor, table: Table) -> Predictor:
+def persistence(observation: Tensor, action: Tensor, table: TableSpec) -> Predictor:
     """Whoever says that the hand stays where the paddle is; its STD is what that is worth on this play."""
     check_tensors(CPU, observation=(observation, "ticks 12"), action=(action, "ticks 2"))
     return _baseline(lambda seen, seconds: paddle(seen, table)[0], observation, action, table)
 
 
-def extrapolation(observation: Tensor, action: Tensor, table: Table) -> Predictor:
+def extrapolation(observation: Tensor, action: Tensor, table: TableSpec) -> Predictor:
     """Whoever moves the paddle on with its velocity; its lead on the paddle is fitted to this play (ticks, .)."""
     check_tensors(CPU, observation=(observation, "ticks 12"), action=(action, "ticks 2"))
     place, velocity = paddle(observation, table)
@@ -52,7 +52,7 @@ def extrapolation(observation: Tensor, action: Tensor, table: Table) -> Predicto
     return _baseline(guess, observation, action, table)
 
 
-def ahead(observation: Tensor, seconds: float, table: Table) -> tuple[Tensor, Tensor]:
+def ahead(observation: Tensor, seconds: float, table: TableSpec) -> tuple[Tensor, Tensor]:
     """Ticks (k,) of one person's play (ticks, 12), and the ticks (k,) `seconds` after them, in the same round."""
     check_tensors(CPU, observation=(observation, "ticks 12"))
     check_numbers(0.0, at_most=len(observation) * table.tick, seconds=seconds)
@@ -63,7 +63,7 @@ def ahead(observation: Tensor, seconds: float, table: Table) -> tuple[Tensor, Te
     return now, now + then
 
 
-def _baseline(guess: Callable[[Tensor, float], Tensor], seen: Tensor, action: Tensor, table: Table) -> Predictor:
+def _baseline(guess: Callable[[Tensor, float], Tensor], seen: Tensor, action: Tensor, table: TableSpec) -> Predictor:
     """A guess, with one STD for each time ahead: its root mean square error on the play given."""
     spread: dict[float, Tensor] = {}
 
@@ -81,7 +81,7 @@ def _baseline(guess: Callable[[Tensor, float], Tensor], seen: Tensor, action: Te
 def by_model(model: Callable[[Tensor], tuple[Tensor, Tensor]], ahead: float = 0.0) -> Predictor:
     """A model of the action `ahead` s after a state, asked about a looked-ahead state as a guidance asks it (Eq. 4)."""
     check_numbers(0.0, ahead=ahead)
-    return lambda observation, seconds: model(lookahead(observation, max(seconds - ahead, 0.0)))
+    return lambda observation, seconds: model(lookahead_state(observation, max(seconds - ahead, 0.0)))
 
 
 def adapted_model(meta: nn.Module, adapted: TensorDict) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
@@ -90,7 +90,7 @@ def adapted_model(meta: nn.Module, adapted: TensorDict) -> Callable[[Tensor], tu
 
 
 def predictors(
-    user: nn.Module, meta: nn.Module, lr: float, seen: Tensor, action: Tensor, table: Table, ahead: float = 0.0
+    user: nn.Module, meta: nn.Module, lr: float, seen: Tensor, action: Tensor, table: TableSpec, ahead: float = 0.0
 ) -> dict[str, Predictor]:
     """Everybody who predicts one person, knowing one game of theirs (ticks, 12), (ticks, 2).
 
@@ -109,7 +109,9 @@ def predictors(
     }
 
 
-def judge(predictor: Predictor, observation: Tensor, action: Tensor, seconds: float, table: Table) -> dict[str, float]:
+def judge(
+    predictor: Predictor, observation: Tensor, action: Tensor, seconds: float, table: TableSpec
+) -> dict[str, float]:
     """How one person's play (ticks, 12), (ticks, 2) is predicted `seconds` ahead.
 
     Returns:

@@ -44,7 +44,7 @@ def draw_adaptation(found: Mapping, names: Mapping[str, str], path: Path) -> Non
     excess = 100 * (matrix / matrix.diagonal() - 1)
     most = max(np.abs(excess).max(), 1e-9)
     shown = panels[0].imshow(excess, cmap="PuOr_r", vmin=-most, vmax=most)
-    figure.colorbar(shown, ax=panels[0], label="% more than their own model's", shrink=0.85)
+    figure.colorbar(shown, ax=panels[0], label="% more than their own model's", line_search_shrink=0.85)
     panels[0].xaxis.get_major_locator().set_params(integer=True)
     panels[0].yaxis.get_major_locator().set_params(integer=True)
     plain(panels[0], "Error of the row's model on the column", "person", "model adapted to")

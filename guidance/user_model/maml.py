@@ -13,8 +13,8 @@ that ``torch.vmap`` runs over, so the adapted parameters of nine users are one T
 
 
     meta_loss(params, loss, demo, valid, lr=0.1).backward()  # demo, valid: (users, ticks, ...)
-    adapted = adapt_each(params, loss, demo, lr=0.1)  # (users,)
-    forward_each(model, adapted, observation)  # (users, ticks, 12) -> (users, ticks, 2)
+    adapted = adapt_stacked(params, loss, demo, lr=0.1)  # (users,)
+    forward_stacked(model, adapted, observation)  # (users, ticks, 12) -> (users, ticks, 2)
 
 :class:`MAML` offers the same step as two verbs, clone and adapt, for loops over users in the manner of learn2learn.
 
@@ -65,12 +65,12 @@ def forward(model: nn.Module, params: TensorDict, *inputs: Tensor) -> Any:
     return functional_call(model, params.flatten_keys(".").to_dict(), inputs)
 
 
-def forward_each(model: nn.Module, params: TensorDict, *inputs: Tensor) -> Any:
+def forward_stacked(model: nn.Module, params: TensorDict, *inputs: Tensor) -> Any:
     """Every user's own model on his or her own inputs, in one batched call.
 
     Args:
         model: any module; not changed.
-        params: stacked parameters of batch size (users,), as from :func:`adapt_each`.
+        params: stacked parameters of batch size (users,), as from :func:`adapt_stacked`.
         inputs: tensors (users, n, ...).
 
     Returns:
@@ -120,7 +120,7 @@ def adapt(params: TensorDict, loss: Loss, lr: float, steps: int = 1, first_order
     return params
 
 
-def adapt_each(
+def adapt_stacked(
     params: TensorDict, loss: DataLoss, demo: Any, lr: float, steps: int = 1, first_order: bool = False
 ) -> TensorDict:
     """Eq. 1 for every user, from the same ``params``.
@@ -166,7 +166,7 @@ def meta_loss(
     Raises:
         ValueError: as :func:`adapt`, or ``demo`` and ``valid`` differ in the number of users.
     """
-    return torch.vmap(loss)(adapt_each(params, loss, demo, lr, steps, first_order), valid).sum()
+    return torch.vmap(loss)(adapt_stacked(params, loss, demo, lr, steps, first_order), valid).sum()
 
 
 class MAML:

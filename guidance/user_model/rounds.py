@@ -2,19 +2,19 @@
 
 import torch
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.validation import CPU, check_numbers, check_tensors
 from guidance.simulated_users.arm import HAND_REACH
 
 
-def round_begins(observation: torch.Tensor, table: Table) -> torch.Tensor:
+def round_begins(observation: torch.Tensor, table: TableSpec) -> torch.Tensor:
     """Whether a round begins with each tick (...) of observations (..., 12): everything is at rest in its place."""
     check_tensors(CPU, observation=(observation, "... 12"))
     rest = [-table.length / 4, 0.0, 0.0, 0.0, table.length / 4, 0.0, 0.0, 0.0, 0.0]  # both paddles, and the puck's x
     return (observation[..., :9] == torch.tensor(rest, dtype=observation.dtype)).all(dim=-1)
 
 
-def hand_speed(observation: torch.Tensor, action: torch.Tensor, table: Table) -> torch.Tensor:
+def hand_speed(observation: torch.Tensor, action: torch.Tensor, table: TableSpec) -> torch.Tensor:
     """(..., ticks) m/s, the hand's mean speed in each tick of play; a round begins with the hand at its centre."""
     check_tensors(CPU, observation=(observation, "... ticks 12"), action=(action, "... ticks 2"))
     begins = round_begins(observation, table)
@@ -22,7 +22,7 @@ def hand_speed(observation: torch.Tensor, action: torch.Tensor, table: Table) ->
     return (action - before).norm(dim=-1) * HAND_REACH / table.tick
 
 
-def action_ahead(observation: torch.Tensor, action: torch.Tensor, seconds: float, table: Table) -> torch.Tensor:
+def action_ahead(observation: torch.Tensor, action: torch.Tensor, seconds: float, table: TableSpec) -> torch.Tensor:
     """The action (..., ticks, 2) so many seconds after each tick, or the last of its round, if that is sooner.
 
     Args:

@@ -22,7 +22,7 @@ from torch.func import grad_and_value
 from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors
 from guidance.user_model.data import Demonstrations, Samples
 from guidance.user_model.loss import prediction_loss
-from guidance.user_model.maml import adapt_each, forward, meta_loss, parameters
+from guidance.user_model.maml import adapt_stacked, forward, meta_loss, parameters
 
 """Observations (..., n, 12) and the actions (..., n, 2) taken on them."""
 
@@ -162,14 +162,14 @@ def adapt_to_user(
         steps: gradient steps, likewise; one in the paper.
 
     Returns:
-        Each user's parameters, batch size (users,), without a graph; for :func:`guidance.user_model.maml.forward_each`, or
+        Each user's parameters, batch size (users,), without a graph; for :func:`guidance.user_model.maml.forward_stacked`, or
         ``adapted[i]`` for one user.
 
     Raises:
         ValueError: a shape is wrong, or ``lr`` or ``steps`` is out of range.
     """
     check_tensors(observation=(observation, "users ticks 12"), action=(action, "users ticks 2"))
-    return adapt_each(params, partial(_data_loss, model), (observation, action), lr, steps)
+    return adapt_stacked(params, partial(_data_loss, model), (observation, action), lr, steps)
 
 
 def _data_loss(model: nn.Module, params: TensorDict, data: Samples) -> Tensor:

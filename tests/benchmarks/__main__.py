@@ -22,19 +22,19 @@ from hydra import compose, initialize_config_dir
 from torch.func import grad_and_value
 
 from airhockey_marl.envs.pettingzoo_env import AirHockey
-from airhockey_marl.envs.physics import Table
-from airhockey_marl.envs.world import SEATS, Tables
+from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.envs.world import SEATS, World
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
-from airhockey_marl.players.inference import steady
+from airhockey_marl.players.inference import greedy_player
 from airhockey_marl.players.networks import USER_PREDICTION_HIDDEN, GaussianPolicy
-from airhockey_marl.self_play.collectors import MULTISYNC, Collecting, Crew
-from airhockey_marl.self_play.league_training import train
+from airhockey_marl.self_play.collectors import MULTISYNC, CollectorConfig, RolloutWorkers
+from airhockey_marl.self_play.league_training import train_league
 from guidance.commands.meta_train import COMPILERS
-from guidance.simulated_users import Users, load_mentors, personal_streams, sample_people
+from guidance.simulated_users import SimulatedUsers, load_advisors, personal_streams, sample_people
 from guidance.study.models import Models
-from guidance.study.provenance import chosen_conditions
+from guidance.study.provenance import load_conditions
 from guidance.study.study import run_study
 from guidance.user_model.loss import prediction_loss
 from guidance.user_model.maml import forward, meta_loss, parameters
@@ -78,7 +78,7 @@ def pettingzoo_steps(steps: int = 20_000) -> float:
 
 
 def batched_ticks(tables: int = 4096, ticks: int = 100) -> float:
-    batch, rng = Tables(tables), np.random.default_rng(0)
+    batch, rng = World(tables), np.random.default_rng(0)
     batch.new_rounds()
     actions = rng.uniform(-1, 1, (ticks, tables, 2, 2))
 
@@ -90,13 +90,13 @@ def batched_ticks(tables: int = 4096, ticks: int = 100) -> float:
     return tables * ticks / seconds(play)
 
 
-def collected_frames(how: Collecting, batch: int = 5000, tables: int = 250) -> float:
+def collected_frames(how: CollectorConfig, batch: int = 5000, tables: int = 250) -> float:
     """Of the learner and a line-up of 25, weights and random numbers told before each batch, as in training."""
     policy = GaussianPolicy()
-    env = {"backend": "batched", "tables": tables, "round_seconds": 30.0, "decision_ticks": 2}
+    env = {"backend": "batched", "tables": tables, "round_seconds": 30.0, "frame_skip": 2}
     league, weights = League(policy), policy.state_dict()
     league.add(policy)
-    with closing(Crew(how, env, 0, policy, batch)) as crew, torch.no_grad():
+    with closing(RolloutWorkers(how, env, 0, policy, batch)) as crew, torch.no_grad():
         crew.begin(league.lineup([0] * 25))
         return batch / seconds(lambda: crew.play(weights), runs=20)
 
@@ -107,10 +107,10 @@ def trained_frames(*overrides: str, generations: int = 2, steps: int = 100_000) 
     policy = GaussianPolicy(cfg.hidden, cfg.inputs)
     learner, sampler = build(cfg.algorithm).learner(policy, cfg.gamma), build(cfg.league.sampler)
     with (
-        closing(Crew(Collecting(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)) as crew,
+        closing(RolloutWorkers(CollectorConfig(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)) as crew,
         tempfile.TemporaryDirectory() as folder,
     ):
-        took = seconds(lambda: train(cfg, Path(folder), policy, learner, crew, sampler), runs=1)
+        took = seconds(lambda: train_league(cfg, Path(folder), policy, learner, crew, sampler), runs=1)
     return generations * steps / took
 
 
@@ -165,9 +165,11 @@ def maml_steps(users: int = 9, ticks: int = 1000) -> dict[str, float]:
 
 def people_tick(n: int, ticks: int = 200) -> float:
     """ms that a tick of n simulated people with mentors takes, in play against others like them."""
-    mentors = load_mentors(config("evaluate").users.mentors)
-    sides = [Users(sample_people(n, seat), personal_streams(n, seat), Table(), "V1", mentors) for seat in (0, 1)]
-    tables, force, actions, spent = Tables(n), np.zeros((n, 2)), np.zeros((n, 2, 2)), 0.0
+    mentors = load_advisors(config("evaluate").users.mentors)
+    sides = [
+        SimulatedUsers(sample_people(n, seat), personal_streams(n, seat), TableSpec(), "V1", mentors) for seat in (0, 1)
+    ]
+    tables, force, actions, spent = World(n), np.zeros((n, 2)), np.zeros((n, 2, 2)), 0.0
     tables.new_rounds()
     states = np.empty((2, n, 12))
     for tick in range(ticks):
@@ -188,13 +190,13 @@ def study() -> float:
     models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
     run = partial(
         run_study,
-        conditions=chosen_conditions(cfg),
+        conditions=load_conditions(cfg),
         models=models,
-        opponent=steady(League.load(cfg.models.opponents).player(cfg.opponent)),
+        opponent=greedy_player(League.load(cfg.models.opponents).player(cfg.opponent)),
         lookahead_seconds=cfg.guidance.lookahead,
-        table=Table(),
+        table=TableSpec(),
         variant=cfg.users.variant,
-        mentors=load_mentors(cfg.users.mentors),
+        mentors=load_advisors(cfg.users.mentors),
         rating_scales=dict(cfg.users.scales),
         seed=cfg.seed,
     )
@@ -208,14 +210,14 @@ def main() -> None:
     torch.set_num_threads(1)
     single, batched = pettingzoo_steps(), batched_ticks()
     maml = maml_steps()
-    ours, equal_work = trained_frames(), trained_frames("algorithm.fisher_share=1")
+    ours, equal_work = trained_frames(), trained_frames("algorithm.fisher_subsample=1")
     peer = peer_frames()
     best = next(iter(peer.values())) if peer else None
     figures = {
         "env_pettingzoo_steps_per_s": round(single),
         "env_batched_steps_per_s": round(batched),
-        "collector_frames_per_s": round(collected_frames(Collecting())),
-        "collector_of_2_processes_frames_per_s": round(collected_frames(Collecting(MULTISYNC, 2))),
+        "collector_frames_per_s": round(collected_frames(CollectorConfig())),
+        "collector_of_2_processes_frames_per_s": round(collected_frames(CollectorConfig(MULTISYNC, 2))),
         "trpo_frames_per_s": round(ours),
         "trpo_over_sb3_contrib": best and round(ours / best, 2),
         "trpo_over_sb3_contrib_with_all_states_in_the_fisher_matrix": best and round(equal_work / best, 2),

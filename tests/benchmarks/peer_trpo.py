@@ -3,7 +3,7 @@
 It gets its best case: all tables are stepped by one compiled call in this process, the opponent is one frozen policy in
 one forward pass, Adam is fused, nothing is logged or written, and of several numbers of tables the fastest counts. Its
 policy has one STD for all states where ours has a head for them, which is a little less work. It does more where our
-`fisher_share` is below 1: it has no such setting.
+`fisher_subsample` is below 1: it has no such setting.
 """
 
 import statistics
@@ -19,10 +19,10 @@ from omegaconf import DictConfig
 from torch import nn
 
 from airhockey_marl.envs.physics import LEFT, RIGHT
-from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, Tables, steps_of
+from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.experiment.command import CONF
-from airhockey_marl.players.networks import GaussianPolicy, relu_layers
-from airhockey_marl.players.players import Player, sampled
+from airhockey_marl.players.networks import GaussianPolicy, mlp_layers
+from airhockey_marl.players.players import Player, stochastic
 
 try:
     from sb3_contrib import TRPO
@@ -36,11 +36,11 @@ except ModuleNotFoundError:  # without the extra `bench` there is no peer; a bro
 class TablesVecEnv(VecEnv):
     """n tables as Stable-Baselines3 wants them: the learner at the left of each, a new round where one is over."""
 
-    def __init__(self, n: int, round_seconds: float, decision_ticks: int, opponent: Player) -> None:
+    def __init__(self, n: int, round_seconds: float, frame_skip: int, opponent: Player) -> None:
         seen = Box(-np.inf, np.inf, (OBSERVATION_SIZE,), dtype=np.float32)
         super().__init__(n, seen, Box(-1.0, 1.0, (ACTION_SIZE,), dtype=np.float32))
-        self.tables, self.opponent, self.decision_ticks = Tables(n), opponent, decision_ticks
-        self.max_steps = steps_of(round_seconds, self.tables.table, decision_ticks)
+        self.tables, self.opponent, self.frame_skip = World(n), opponent, frame_skip
+        self.max_steps = round_steps(round_seconds, self.tables.table, frame_skip)
         self._steps = np.zeros(n, dtype=np.int64)
         self._actions = np.zeros((n, 2, ACTION_SIZE), dtype=np.float32)
         self._theirs = np.empty((n, OBSERVATION_SIZE), dtype=np.float32)
@@ -56,7 +56,7 @@ class TablesVecEnv(VecEnv):
         self._actions[:, RIGHT] = self.opponent(torch.from_numpy(self.tables.observe(RIGHT, self._theirs))).numpy()
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
-        self.tables.step(self._actions, self.decision_ticks)
+        self.tables.step(self._actions, self.frame_skip)
         self._steps += 1
         goals = self.tables.goals.astype(np.float32)  # a copy: SB3 adds the values of rounds that were cut off
         over = (goals != 0) | (self._steps >= self.max_steps)
@@ -87,28 +87,28 @@ class PeerPolicy(MlpPolicy):
 
     def _build_mlp_extractor(self) -> None:
         super()._build_mlp_extractor()
-        self.mlp_extractor.value_net = nn.Sequential(*relu_layers(OBSERVATION_SIZE, self.net_arch["vf"], nn.Tanh))
+        self.mlp_extractor.value_net = nn.Sequential(*mlp_layers(OBSERVATION_SIZE, self.net_arch["vf"], nn.Tanh))
 
 
 def peer(cfg: DictConfig, tables: int, batch: int, sub_sampling: int) -> "TRPO":
     """The peer, with one update behind it: compiled, and its memory allocated."""
-    opponent = sampled(GaussianPolicy(cfg.hidden).requires_grad_(False), torch.Generator().manual_seed(cfg.seed))
+    opponent = stochastic(GaussianPolicy(cfg.hidden).requires_grad_(False), torch.Generator().manual_seed(cfg.seed))
     networks = {"pi": list(cfg.hidden), "vf": list(cfg.algorithm.critic.hidden)}
     model = TRPO(
         PeerPolicy,
-        TablesVecEnv(tables, cfg.env.round_seconds, cfg.env.decision_ticks, opponent),
+        TablesVecEnv(tables, cfg.env.round_seconds, cfg.env.frame_skip, opponent),
         policy_kwargs={"net_arch": networks, "activation_fn": nn.ReLU, "optimizer_kwargs": {"fused": True}},
         n_steps=batch // tables,
         gamma=cfg.gamma,
         gae_lambda=cfg.algorithm.gae_lambda,
         target_kl=cfg.algorithm.max_kl,
-        cg_max_steps=cfg.algorithm.cg_steps,
+        cg_max_steps=cfg.algorithm.cg_max_steps,
         cg_damping=cfg.algorithm.damping,
         sub_sampling_factor=sub_sampling,
-        line_search_max_iter=cfg.algorithm.backtracks,
-        line_search_shrinking_factor=cfg.algorithm.shrink,
-        n_critic_updates=cfg.algorithm.critic_passes,
-        batch_size=cfg.algorithm.critic_minibatch,
+        line_search_max_iter=cfg.algorithm.line_search_max_iter,
+        line_search_shrinking_factor=cfg.algorithm.line_search_shrink,
+        n_critic_updates=cfg.algorithm.critic_epochs,
+        batch_size=cfg.algorithm.critic_batch_size,
         learning_rate=cfg.algorithm.critic_lr,
         seed=cfg.seed,
         device="cpu",

@@ -8,20 +8,20 @@ import numpy as np
 import torch
 from hydra import compose, initialize_config_dir
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
 from guidance.commands.play import Play
 from guidance.display.window import Window
 from guidance.haptics.clock import WallClock
 from guidance.haptics.devices.simulated import Simulated
-from guidance.haptics.safety import Limits
-from guidance.haptics.seat import Seat
-from guidance.haptics.servo import Inline
-from guidance.simulated_users import Users, sample_people
+from guidance.haptics.safety import SafetyLimits
+from guidance.haptics.seat import RealTimePlayer
+from guidance.haptics.servo import InProcessServo
+from guidance.simulated_users import SimulatedUsers, sample_people
 from guidance.study.models import Models
-from guidance.study.protocol import streams
-from guidance.study.provenance import chosen_conditions
+from guidance.study.protocol import spawn_rng_states
+from guidance.study.provenance import load_conditions
 
 WARM_UP = 100  # ticks and pictures at the beginning that are not counted: the first ones compile
 
@@ -38,17 +38,19 @@ def seat_punctuality(seconds: float = 20.0) -> dict[str, float]:
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("evaluate")
     models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-    conditions = {condition.letter: condition for condition in chosen_conditions(cfg)}
-    clock, table = WallClock(), Table()
-    person = Users(sample_people(1, 0), streams(0, [0], 0, 0), table)
+    conditions = {condition.letter: condition for condition in load_conditions(cfg)}
+    clock, table = WallClock(), TableSpec()
+    person = SimulatedUsers(sample_people(1, 0), spawn_rng_states(0, [0], 0, 0), table)
     window = Window("benchmark", table, 1100, 60, clock, {"o": "targets"})
     window.overlay = True
-    seat = Seat(Inline(Simulated(person), Limits()), window, clock, table.tick, breath=0.0, person=person)
+    seat = RealTimePlayer(
+        InProcessServo(Simulated(person), SafetyLimits()), window, clock, table.tick, breath=0.0, person=person
+    )
     pushes, push = [], seat.hand.push
     seat.hand.push = lambda force, held=True: (pushes.append(clock.now()), push(force, held))
     try:
         with tempfile.TemporaryDirectory() as folder:
-            how = 0.1, 60.0, seat, streams(0, [0], 0, 1), Path(folder)
+            how = 0.1, 60.0, seat, spawn_rng_states(0, [0], 0, 1), Path(folder)
             play = Play(conditions, models, League.load(cfg.models.opponents), cfg.opponent, *how)
             play.adapted = models.adapted_to([(torch.randn(500, 12), torch.randn(500, 2))])
             play.run(conditions["i"], seconds)

@@ -5,8 +5,8 @@ import sys
 import time
 from dataclasses import asdict
 
-from guidance.haptics.safety import Limits
-from guidance.haptics.servo import SERVO_HZ, Servo
+from guidance.haptics.safety import SafetyLimits
+from guidance.haptics.servo import SERVO_HZ, ServoProcess
 
 TICK = 0.02  # s between two forces
 
@@ -22,7 +22,7 @@ def servo_jitter(seconds: float = 5.0, busy: bool = True) -> dict[str, float]:
         period_p50_us, period_p99_us, period_longest_us, steps, late_share and lost_share (steps that did not come).
     """
     spinning = subprocess.Popen([sys.executable, "-c", "while True: pass"]) if busy else None
-    servo = Servo(("tests.guidance.haptics.fake_device", "Still", {}), Limits())
+    servo = ServoProcess(("tests.guidance.haptics.fake_device", "Still", {}), SafetyLimits())
     try:
         began = time.perf_counter()
         while time.perf_counter() - began < seconds:

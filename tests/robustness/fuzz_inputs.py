@@ -26,12 +26,12 @@ from safetensors.torch import save_file
 
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.checkpoint import Checkpoint
-from airhockey_marl.experiment.command import config_of, require_counts, require_numbers
+from airhockey_marl.experiment.command import require_counts, require_numbers, resumed_config
 from airhockey_marl.experiment.files import load_tensors, save_tensors
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.forces.equations import similarity_weight, spring_force, uncertainty_weight
-from guidance.haptics.safety import Limits, Safety
+from guidance.haptics.safety import Safety, SafetyLimits
 from guidance.sessions.bids import Records, check_label
 from guidance.statistics.report import merge
 from guidance.study.models import load_user_model
@@ -109,9 +109,7 @@ class Case:
             b"naturalness,controllability,comfort\nS01,nhg,1,.5,2.0,.5,.1,4,4,4,4\nS02,oahg,1,.5,2,.5,.1,4,4,4,4\n"
         )
         self.tsv = "\t".join(COLUMNS).encode() + b"\n" + b"\t".join(b"0.5" for _ in COLUMNS) + b"\n"
-        self.yaml = (
-            b"resume: null\nseed: 1\nmaml:\n  block: 3\n  lr: 0.1\npart:\n  _target_: guidance.haptics.safety.Limits\n"
-        )
+        self.yaml = b"resume: null\nseed: 1\nmaml:\n  block: 3\n  lr: 0.1\npart:\n  _target_: guidance.haptics.safety.SafetyLimits\n"
 
     def checkpoint(self) -> Checkpoint:
         policy = GaussianPolicy([4])
@@ -235,7 +233,7 @@ class Case:
         self.put(content, "run/.hydra/config.yaml")
 
         def go_on() -> None:
-            cfg = config_of(self.folder / "run", "state")
+            cfg = resumed_config(self.folder / "run", "state")
             require_counts(cfg, "maml.block", "seed")
             require_numbers(cfg, "maml.lr")
             build(cfg.part)
@@ -247,12 +245,12 @@ class Case:
             "os.system",
             "builtins.exec",
             "subprocess.run",
-            "guidance.haptics.servo.Servo",
+            "guidance.haptics.servo.ServoProcess",
             "guidance.forces.conditions.torch.load",
         ]
         node: object = {"_target_": str(rng.choice(names)), "command": f"touch {self.trap}"}
         for _ in range(rng.integers(4)):
-            node = [{"deeper": node}, [1, node], {"_target_": "guidance.haptics.safety.Limits", "force": node}][
+            node = [{"deeper": node}, [1, node], {"_target_": "guidance.haptics.safety.SafetyLimits", "force": node}][
                 rng.integers(3)
             ]
         result = refused(lambda: build(OmegaConf.create({"part": node}).part))
@@ -269,7 +267,7 @@ class Case:
 
     def safety(self, rng: np.random.Generator) -> str:
         """Whatever is asked for, and wherever the hand is: finite, within the limit, no faster than it may change."""
-        limits = Limits(*np.exp(rng.uniform(-3, 6, 6)).tolist())
+        limits = SafetyLimits(*np.exp(rng.uniform(-3, 6, 6)).tolist())
         layer, before = Safety(limits), (0.0, 0.0)
 
         def number(scale: float) -> float:

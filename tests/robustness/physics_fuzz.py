@@ -23,13 +23,13 @@ from airhockey_marl.envs.physics import (
     RIGHT,
     VX,
     VY,
-    Table,
+    TableSpec,
     X,
     Y,
     _drive_paddle,
     _own_half,
     check_table,
-    tick,
+    step_physics,
 )
 from airhockey_marl.envs.world import random_unit
 
@@ -61,11 +61,11 @@ compiled = njit(cache=True, error_model="numpy", nogil=True)
 def random_tables(rng: np.random.Generator, n: int) -> np.ndarray:
     """(n, fields) tables that `check_table` allows: some numbers the usual, some anywhere up to what is allowed."""
     tables = []
-    usual = np.array(Table(), dtype=float)
+    usual = np.array(TableSpec(), dtype=float)
     while len(tables) < n:
         values = usual.copy()
         for place in np.flatnonzero(rng.random(len(usual)) < rng.uniform(0, 0.6)):
-            name = Table._fields[place]
+            name = TableSpec._fields[place]
             lowest = 1.0 if name == "substeps" else 1e-9
             highest = 1.0 if name.endswith("restitution") else LARGEST[name]
             kind = rng.random()
@@ -82,7 +82,7 @@ def random_tables(rng: np.random.Generator, n: int) -> np.ndarray:
         # of sub-steps mostly few, for a tick takes as long as it has
         values[-1] = round(values[-1]) if rng.random() < 0.01 else rng.integers(1, 9)
         try:
-            check_table(Table(*values[:-1], int(values[-1])))
+            check_table(TableSpec(*values[:-1], int(values[-1])))
         except ValueError:
             continue
         tables.append(values)
@@ -92,7 +92,7 @@ def random_tables(rng: np.random.Generator, n: int) -> np.ndarray:
 @compiled
 def table_of(values):
     v = values
-    return Table(
+    return TableSpec(
         v[0],
         v[1],
         v[2],
@@ -340,7 +340,7 @@ def play(values, seed, ticks, compared):
         if not still and random_unit(rng, 0) < 0.3:
             aim(bodies, targets, rng, table)
         before = bodies.copy()
-        goal, touched = tick(bodies, targets, table)
+        goal, touched = step_physics(bodies, targets, table)
         wrong = wrong_alone(before, bodies, goal, touched, still, table)
         squeezed += wrong == SQUEEZED
         wrong = max(wrong, FINE)

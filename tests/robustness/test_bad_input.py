@@ -10,31 +10,31 @@ from tensordict import TensorDict
 from airhockey_marl.algorithms.advantages import advantages
 from airhockey_marl.algorithms.trpo import kl_divergence, log_prob
 from airhockey_marl.envs.pettingzoo_env import AirHockey
-from airhockey_marl.envs.physics import LEFT, Table, check_table
+from airhockey_marl.envs.physics import LEFT, TableSpec, check_table
 from airhockey_marl.envs.torchrl_env import make_env
-from airhockey_marl.envs.world import Tables
-from airhockey_marl.evaluation.ratings import rate
+from airhockey_marl.envs.world import World
+from airhockey_marl.evaluation.ratings import bradley_terry
 from airhockey_marl.league.league import League
 from airhockey_marl.league.opponent_sampling import DeltaUniform
-from airhockey_marl.players.inference import RowByRow
+from airhockey_marl.players.inference import PerRowInference
 from airhockey_marl.players.networks import Critic, GaussianPolicy
-from guidance.forces.equations import combine, lookahead, similarity_weight, spring_force, uncertainty_weight
-from guidance.haptics.safety import Limits
-from guidance.simulated_users import Users, personal_streams, sample_people
-from guidance.study.metrics import Moments, disagreement
+from guidance.forces.equations import combine, lookahead_state, similarity_weight, spring_force, uncertainty_weight
+from guidance.haptics.safety import SafetyLimits
+from guidance.simulated_users import SimulatedUsers, personal_streams, sample_people
+from guidance.study.metrics import RunningMoments, disagreement
 from guidance.user_model.data import Demonstrations
 from guidance.user_model.loss import prediction_loss
-from guidance.user_model.maml import adapt, forward_each, parameters
+from guidance.user_model.maml import adapt, forward_stacked, parameters
 from guidance.user_model.training import adapt_to_user, train_maml, train_supervised
 
 GAME = AirHockey()
 GAME.reset(seed=0)
-TWO, POLICY = Tables(2), GaussianPolicy([4])
+TWO, POLICY = World(2), GaussianPolicy([4])
 ACTIONS, ROWS = np.zeros((2, 2, 2)), np.array([0, 1])
 VECTOR, ELSEWHERE = torch.zeros(3, 2), torch.zeros(3, 2, device="meta")
 SEEN, DONE = torch.zeros(2, 3, 5, 12), torch.zeros(2, 3, 5, 2)
 DATA, VIEW = Demonstrations(SEEN, DONE), TensorDict({"observation": SEEN[0]}, [3, 5])
-PEOPLE = Users(sample_people(2, 0), personal_streams(2, 0))
+PEOPLE = SimulatedUsers(sample_people(2, 0), personal_streams(2, 0))
 
 
 def lineup() -> torch.nn.Module:
@@ -45,9 +45,9 @@ def lineup() -> torch.nn.Module:
 
 TABLE = [
     # tables: compiled code asks nothing, and wrote over other memory until the process was no more
-    (lambda: Tables(0), r"tables = 0 must be at least 1"),
-    (lambda: Tables(2.5), r"tables = 2\.5 must be at least 1"),
-    (lambda: Tables("2"), r"tables = '2' must be at least 1"),
+    (lambda: World(0), r"tables = 0 must be at least 1"),
+    (lambda: World(2.5), r"tables = 2\.5 must be at least 1"),
+    (lambda: World("2"), r"tables = '2' must be at least 1"),
     (
         lambda: TWO.step(ACTIONS[:1]),
         r"actions: float64 of shape \(1, 2, 2\), must be an array of floats",
@@ -72,12 +72,12 @@ TABLE = [
         r"out: float64 of shape \(2, 11\), must be an array of floats of shape \(2, 12\)",
     ),
     (lambda: TWO.observe(LEFT, np.zeros((1, 12))), r"out: float64 of shape \(1, 12\)"),
-    (lambda: check_table(Table(goal="wide")), r"table\.goal = wide must be a number"),
+    (lambda: check_table(TableSpec(goal="wide")), r"table\.goal = wide must be a number"),
     (lambda: GAME.step({"left": ROWS, "right": [0.0]}), r"actions\['right'\]: list, must be numbers of shape \(2,\)"),
     (lambda: GAME.step({"left": ROWS}), r"actions\['right'\]: NoneType, must be numbers"),
     (lambda: AirHockey(render_mode="gif"), r"render_mode = 'gif' must be None or 'rgb_array'"),
     (lambda: make_env("batched", 2, -1.0, 1, 0), r"round_seconds = -1\.0 must be at least"),
-    (lambda: make_env("batched", 2, 1.0, 0, 0), r"decision_ticks = 0 must be a whole number of at least 1"),
+    (lambda: make_env("batched", 2, 1.0, 0, 0), r"frame_skip = 0 must be a whole number of at least 1"),
     (lambda: make_env("gym", 2, 1.0, 1, 0), r"env\.backend = 'gym' must be 'batched' or 'pettingzoo'"),
     # models
     (lambda: GaussianPolicy([]), r"hidden = \(\) must name at least one layer"),
@@ -96,13 +96,13 @@ TABLE = [
         r"new_std: shape \(1, 2\), must be \(3, 2\) beside mean",
     ),
     (lambda: advantages(None, VIEW, 0.9, 0.9), r"view: has no next\.observation, next\.reward, next\.done"),
-    (lambda: rate(np.zeros((2, 3)), 0), r"wins: shape \(2, 3\), must be \(k, k\)"),
-    (lambda: rate(np.array([[0, -1], [1, 0]]), 0), r"wins = -1 must be counts of at least 0"),
-    (lambda: RowByRow(POLICY)(SEEN[0, 0].numpy(), np.arange(5)), r"which: from 0 to 4, must be from 0 to 0"),
+    (lambda: bradley_terry(np.zeros((2, 3)), 0), r"wins: shape \(2, 3\), must be \(k, k\)"),
+    (lambda: bradley_terry(np.array([[0, -1], [1, 0]]), 0), r"wins = -1 must be counts of at least 0"),
+    (lambda: PerRowInference(POLICY)(SEEN[0, 0].numpy(), np.arange(5)), r"which: from 0 to 4, must be from 0 to 0"),
     # forces
-    (lambda: lookahead(torch.zeros(3), 0.1), r"state: shape \(3,\), must be"),
-    (lambda: lookahead(torch.zeros(12), math.nan), r"seconds: nan, must be finite"),
-    (lambda: lookahead(torch.zeros(12, dtype=torch.int32), 0.1), r"state: dtype torch\.int32"),
+    (lambda: lookahead_state(torch.zeros(3), 0.1), r"state: shape \(3,\), must be"),
+    (lambda: lookahead_state(torch.zeros(12), math.nan), r"seconds: nan, must be finite"),
+    (lambda: lookahead_state(torch.zeros(12, dtype=torch.int32), 0.1), r"state: dtype torch\.int32"),
     (lambda: spring_force(VECTOR, torch.zeros(3), 50.0, 3.0), r"target: shape \(3,\), must be \(\.\.\., 2\)"),
     (lambda: spring_force(VECTOR, torch.zeros(4, 2), 50.0, 3.0), r"target: shape \(4, 2\), must go with \(3, 2\)"),
     (lambda: spring_force(VECTOR, ELSEWHERE, 50.0, 3.0), r"target: on meta, must be on cpu as position"),
@@ -110,12 +110,12 @@ TABLE = [
     (lambda: combine(VECTOR, ELSEWHERE), r"user: on meta, must be on cpu as optimal"),
     (lambda: similarity_weight(VECTOR, torch.zeros(5, 2)), r"second: shape \(5, 2\), must go with \(3, 2\) of first"),
     (lambda: uncertainty_weight(VECTOR, 0.5, 0.1), r"low, high: 0\.5, 0\.1, must satisfy"),
-    (lambda: Limits(force=math.inf), r"safety\.force = inf must be a finite number above 0"),
+    (lambda: SafetyLimits(force=math.inf), r"safety\.force = inf must be a finite number above 0"),
     (lambda: disagreement(np.zeros((3, 2)), np.zeros((4, 2))), r"action_change: shape \(4, 2\), must be \(3, 2\)"),
-    (lambda: Moments(2).add(np.array([2]), np.ones(1)), r"games: from 2 to 2, must be from 0 to 1"),
+    (lambda: RunningMoments(2).add(np.array([2]), np.ones(1)), r"games: from 2 to 2, must be from 0 to 1"),
     (lambda: PEOPLE.step(np.zeros((2, 12)), np.zeros((2, 2)), ROWS + 1), r"rows: from 1 to 2, must be from 0 to 1"),
     # learning
-    (lambda: forward_each(POLICY, parameters(POLICY), SEEN), r"inputs: shape \(2, 3, 5, 12\), must begin with"),
+    (lambda: forward_stacked(POLICY, parameters(POLICY), SEEN), r"inputs: shape \(2, 3, 5, 12\), must begin with"),
     (lambda: Demonstrations(SEEN[0], DONE), r"observation: shape \(3, 5, 12\), must be \(users, games, ticks, 12\)"),
     (lambda: Demonstrations(SEEN, DONE.double()), r"action: .* must match observation"),
     (lambda: Demonstrations(SEEN * math.nan, DONE), r"observation: 360 values are not finite"),

@@ -21,19 +21,19 @@ from safetensors.torch import save_file
 
 from airhockey_marl.commands import train
 from airhockey_marl.experiment.checkpoint import Checkpoint
-from airhockey_marl.experiment.command import CONF, config_of
+from airhockey_marl.experiment.command import CONF, resumed_config
 from airhockey_marl.experiment.config import read_config
 from airhockey_marl.experiment.files import load_tensors, save_tensors
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
-from guidance.haptics.safety import Limits, Safety
+from guidance.haptics.safety import Safety, SafetyLimits
 from guidance.statistics.report import merge, write_report
 from guidance.statistics.tests import CONDITIONS, METRICS
 from guidance.study.models import Models, load_user_model
 from tests import ROOT
 from tests.robustness.fuzz_inputs import KINDS, REFUSED, TAKEN, Trap, fuzz
 
-LIMITS = Limits()
+LIMITS = SafetyLimits()
 NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
 
 
@@ -191,7 +191,7 @@ def test_a_run_folder_from_elsewhere_executes_nothing(tmp_path, monkeypatch, con
     (tmp_path / ".hydra" / "config.yaml").write_text(content)
     (tmp_path / "state").touch()
     with pytest.raises(ValueError, match=message):
-        config_of(tmp_path, "state")
+        resumed_config(tmp_path, "state")
     assert not (tmp_path / "executed").exists()
 
 
@@ -229,7 +229,7 @@ def test_a_configuration_of_a_run_folder_cannot_swell(tmp_path, content, message
     tracemalloc.start()
     began = time.monotonic()
     with pytest.raises(ValueError, match=message) as refused:
-        config_of(tmp_path, "state")
+        resumed_config(tmp_path, "state")
     seconds, most = time.monotonic() - began, tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert seconds < 20 and most < 100e6 and "\n" not in str(refused.value)

@@ -6,7 +6,7 @@ import numpy as np
 
 from guidance.haptics.devices import Pair
 from guidance.simulated_users import Population, sample_people
-from guidance.simulated_users.arm import ARM, HAND_REACH, STEADY, move_arm, rest
+from guidance.simulated_users.arm import ARM_STATE, HAND_REACH, STEADY, move_arm, rest
 
 FASTEST = 1.5  # m/s, a hand in play is not faster, and no paddle follows one that is
 STEP = 0.001  # s, of the arm
@@ -44,7 +44,7 @@ class PointedHand:
             raise ValueError(f"fastest = {fastest} must be a number above 0, in m/s")
         self.fastest, self._person = fastest, median_person() if person is None else person
         self._stiffness = float(self._person["stiffness"])
-        self._arm = np.zeros(1, ARM)[0]
+        self._arm = np.zeros(1, ARM_STATE)[0]
         rest(self._arm, self._person)
         self._pointed = self._followed = self._position = self._velocity = self._force = (0.0, 0.0)
 

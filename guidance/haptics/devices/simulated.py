@@ -3,7 +3,7 @@
 import numpy as np
 
 from guidance.haptics.devices import Pair
-from guidance.simulated_users import Users
+from guidance.simulated_users import SimulatedUsers
 
 STEP_MS = 1  # of the servo
 
@@ -23,7 +23,7 @@ class Simulated:
 
     held = True
 
-    def __init__(self, users: Users) -> None:
+    def __init__(self, users: SimulatedUsers) -> None:
         if users.n != 1:
             raise ValueError(f"users: n = {users.n} must be 1, a device is held by one person")
         self.users, self._tick_ms = users, round(1000 * users.table.tick)
@@ -60,7 +60,7 @@ class Simulated:
             state: (12,) float64, the game as the person sees it; only what they see as a tick begins counts.
 
         Raises:
-            ValueError: not whole ms, or a state or a force that `Users.step` refuses.
+            ValueError: not whole ms, or a state or a force that `SimulatedUsers.step` refuses.
         """
         steps = round(1000 * seconds)
         if steps < 1 or abs(1000 * seconds - steps) > 1e-6:

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from torch import Tensor
 
-from airhockey_marl.envs.physics import Table
-from airhockey_marl.experiment.files import replacing
+from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.experiment.files import atomic_write
 from guidance.simulated_users.validation.motor_tasks import Reaches
 from guidance.simulated_users.validation.playstyles import STEEP, blows
 
@@ -23,7 +23,7 @@ SHOTS = ("soft", "straight", "over the left wall", "over the right wall")
 
 def save(figure: plt.Figure, path: Path) -> None:
     """Write a figure, whole or not at all."""
-    with replacing(path) as temporary:
+    with atomic_write(path) as temporary:
         figure.savefig(temporary, dpi=130)
     plt.close(figure)
 
@@ -70,7 +70,7 @@ def draw_push(pushed: Mapping[str, tuple[np.ndarray, np.ndarray]], path: Path) -
     save(figure, path)
 
 
-def draw_places(play: Mapping[str, Tensor], table: Table, path: Path) -> None:
+def draw_places(play: Mapping[str, Tensor], table: TableSpec, path: Path) -> None:
     """Where each archetype keeps its paddle: a heat map of the own half per archetype, on one scale."""
     edges = np.linspace(-table.length / 2, 0.0, 41), np.linspace(-table.width / 2, table.width / 2, 43)
     places = {name: seen[..., :2].flatten(0, -2).T.numpy() for name, seen in play.items()}
@@ -86,11 +86,11 @@ def draw_places(play: Mapping[str, Tensor], table: Table, path: Path) -> None:
         plain(axes, name.replace("_", " "))
         axes.set_xticks([])
         axes.set_yticks([])
-    figure.colorbar(shown, ax=panels[0], label="density, 1/m²", shrink=0.8)
+    figure.colorbar(shown, ax=panels[0], label="density, 1/m²", line_search_shrink=0.8)
     save(figure, path)
 
 
-def kinds(observation: Tensor, table: Table) -> np.ndarray:
+def kinds(observation: Tensor, table: TableSpec) -> np.ndarray:
     """(4,) shares of the blows of some people (n, ticks, 12) by `SHOTS`: how the puck left the paddle."""
     hit = np.concatenate([blows(seen, table) for seen in observation.numpy().astype(np.float64)])
     soft = np.linalg.norm(hit, axis=-1) < SOFT
@@ -99,7 +99,7 @@ def kinds(observation: Tensor, table: Table) -> np.ndarray:
     return np.array(counts) / max(len(hit), 1)
 
 
-def draw_shots(play: Mapping[str, Tensor], table: Table, path: Path) -> None:
+def draw_shots(play: Mapping[str, Tensor], table: TableSpec, path: Path) -> None:
     """Blows by kind, a bar per archetype."""
     figure, axes = plt.subplots(figsize=(6, 3.2), layout="constrained")
     begin = np.zeros(len(play))

@@ -8,20 +8,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.validation import check_arrays, check_counts, check_numbers
 from guidance.simulated_users.arm import HAND_REACH
 from guidance.simulated_users.intention import Intention
 from guidance.simulated_users.population import personal_streams
 from guidance.simulated_users.strokes import to_table
-from guidance.simulated_users.users import Users
+from guidance.simulated_users.users import SimulatedUsers
 
 MOVING = 0.02  # m/s: the hand has begun to move
 HOLD = 0.1  # s in the target that end a reach
 APPEARS = 10  # tick at which the mark comes
 FAR = 0.9  # m, where it is before
 UNDER_WAY = 0.1  # s before the contact, a blow cannot be called off
-TABLE = Table()
+TABLE = TableSpec()
 
 
 @dataclass
@@ -66,7 +66,7 @@ def observe(
     if force is not None:
         check_arrays(force=(force, f"{n} {trials} {ticks} 2"))
     check_counts(0, seed=seed)
-    users = Users(np.repeat(people, trials), personal_streams(n * trials, seed), TABLE, variant)
+    users = SimulatedUsers(np.repeat(people, trials), personal_streams(n * trials, seed), TABLE, variant)
     users.instruct(task)
     marks = marks.reshape(n * trials, ticks, 4)
     force = np.zeros((n * trials, ticks, 2)) if force is None else force.reshape(n * trials, ticks, 2)

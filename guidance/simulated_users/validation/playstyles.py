@@ -6,7 +6,7 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 from torch import Tensor
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.validation import CPU, check_arrays, check_tensors
 
 FEATURES = (
@@ -26,7 +26,7 @@ STEEP = np.tan(np.radians(35.0))
 BLOW, FORWARD = 0.6, 0.3  # m/s: a change of the puck's velocity that only a paddle makes, and to the front
 
 
-def blows(observation: np.ndarray, table: Table) -> np.ndarray:
+def blows(observation: np.ndarray, table: TableSpec) -> np.ndarray:
     """(k, 2) the puck's velocity in m/s after each blow of the own paddle, in one stretch of play (ticks, 12)."""
     check_arrays(observation=(observation, "ticks 12"))
     paddle, puck = observation[..., 0:2], observation[..., 8:12]
@@ -36,7 +36,7 @@ def blows(observation: np.ndarray, table: Table) -> np.ndarray:
     return puck[1:, 2:][(change > BLOW) & close & (puck[1:, 2] > FORWARD)]
 
 
-def features(observation: Tensor, table: Table) -> np.ndarray:
+def features(observation: Tensor, table: TableSpec) -> np.ndarray:
     """(n, 10) `FEATURES` of n stretches of play (n, ticks, 12)."""
     check_tensors(CPU, observation=(observation, "n ticks 12"))
     rows = []

@@ -13,13 +13,13 @@ from collections.abc import Callable, Mapping
 
 import numpy as np
 
-from airhockey_marl.envs.physics import LEFT, RIGHT, Table
-from airhockey_marl.envs.world import Tables
+from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
+from airhockey_marl.envs.world import World
 from airhockey_marl.experiment.validation import check_arrays, check_counts, check_numbers
-from guidance.simulated_users.advisors import NO_MENTORS, Mentors
+from guidance.simulated_users.advisors import NO_ADVISORS, Advisors
 from guidance.simulated_users.population import personal_streams
 from guidance.simulated_users.ratings import RATINGS, SIGNALS
-from guidance.simulated_users.users import Users
+from guidance.simulated_users.users import SimulatedUsers
 
 ANCHORS = ("oracle", "replayed", "random", "anti")  # from the best to the worst
 ANCHOR_STIFFNESS = 50.0  # N/m
@@ -39,7 +39,7 @@ SCALED_BY = {
 }
 
 
-def oracle_force(users: Users) -> np.ndarray:
+def oracle_force(users: SimulatedUsers) -> np.ndarray:
     """(n, 2) N toward each one's own goal."""
     force = ANCHOR_STIFFNESS * (users.goal - users.hand)
     size = np.hypot(force[:, 0], force[:, 1])
@@ -50,12 +50,12 @@ def play_anchor(
     people: np.ndarray,
     opponent: Callable[[np.ndarray], np.ndarray],
     anchor: str,
-    table: Table | None = None,
+    table: TableSpec | None = None,
     seconds: float = 120.0,
     seed: int = 0,
     variant: str = "V1",
-    mentors: Mentors | None = None,
-) -> Users:
+    mentors: Advisors | None = None,
+) -> SimulatedUsers:
     """One game of `seconds` of everyone (left seat) under one anchor force against `opponent` (right seat).
 
     Args:
@@ -73,12 +73,12 @@ def play_anchor(
         raise ValueError(f"anchor = {anchor!r} must be one of {', '.join(ANCHORS)}, none")
     check_numbers(above=0.0, seconds=seconds)
     check_counts(0, seed=seed)
-    table = table or Table()
+    table = table or TableSpec()
     rng, n = np.random.default_rng([seed, (*ANCHORS, "none").index(anchor)]), len(people)
     held, angle = max(1, round(RANDOM_HELD / table.tick)), np.zeros(n)
     course: list[np.ndarray] = []
 
-    def push(users: Users, tick: int) -> np.ndarray:
+    def push(users: SimulatedUsers, tick: int) -> np.ndarray:
         nonlocal angle
         if tick % held == 0:
             angle = rng.uniform(-np.pi, np.pi, n)
@@ -91,12 +91,12 @@ def play_anchor(
             return np.hypot(force[:, :1], force[:, 1:]) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return force if anchor == "oracle" else -force
 
-    def remember(users: Users, tick: int) -> np.ndarray:
+    def remember(users: SimulatedUsers, tick: int) -> np.ndarray:
         force = oracle_force(users)
         course.append(np.roll(force, 1, axis=0))  # the neighbour's
         return force
 
-    ticks, how = round(seconds / table.tick), (table, variant, mentors or NO_MENTORS)
+    ticks, how = round(seconds / table.tick), (table, variant, mentors or NO_ADVISORS)
     if anchor == "replayed":
         play_pushed(people, opponent, remember, ticks, seed + 1, *how)
     return play_pushed(people, opponent, push, ticks, seed, *how)
@@ -105,20 +105,20 @@ def play_anchor(
 def play_pushed(
     people: np.ndarray,
     opponent: Callable[[np.ndarray], np.ndarray],
-    push: Callable[[Users, int], np.ndarray],
+    push: Callable[[SimulatedUsers, int], np.ndarray],
     ticks: int,
     seed: int,
-    table: Table,
+    table: TableSpec,
     variant: str,
-    mentors: Mentors,
-) -> Users:
+    mentors: Advisors,
+) -> SimulatedUsers:
     """Let everyone play while `push`, told who they are and the number of the tick, says the forces (n, 2) in N."""
     check_counts(0, ticks=ticks, seed=seed)
     n = len(people)
-    tables = Tables(n, table)
+    tables = World(n, table)
     tables.seed(seed)
     tables.new_rounds()
-    users = Users(people, personal_streams(n, seed), table, variant, mentors)
+    users = SimulatedUsers(people, personal_streams(n, seed), table, variant, mentors)
     left, right, actions = np.zeros((n, 12)), np.zeros((n, 12)), np.zeros((n, 2, 2))
     for tick in range(ticks):
         force = push(users, tick)
@@ -146,10 +146,10 @@ def ordered(appraised: Mapping[str, np.ndarray]) -> dict[str, bool]:
 def anchor_scales(
     people: np.ndarray,
     opponent: Callable[[np.ndarray], np.ndarray],
-    table: Table | None = None,
+    table: TableSpec | None = None,
     seconds: float = 120.0,
     seed: int = 0,
-    mentors: Mentors | None = None,
+    mentors: Advisors | None = None,
 ) -> dict[str, float]:
     """The unit of each signal: its mean over people (variant V1) under its anchor, as in `SCALED_BY`.
 

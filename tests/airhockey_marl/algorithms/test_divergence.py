@@ -9,8 +9,8 @@ import torch
 from hydra import compose, initialize_config_dir
 from tensordict import TensorDict
 
-from airhockey_marl.algorithms.divergence import require_finite_parts, require_sound, stopping
-from airhockey_marl.algorithms.trpo import TrustRegion
+from airhockey_marl.algorithms.divergence import name_divergence, require_finite_modules, require_sound_metrics
+from airhockey_marl.algorithms.trpo import TRPOLearner
 from airhockey_marl.commands import train
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
@@ -24,9 +24,9 @@ SOUND = {"kl": 0.01, "std": 0.3, "critic_loss": 1.0}
 
 
 def test_what_is_sound_passes():
-    require_sound(SOUND)
-    require_sound({"q_loss": 0.0, "std": 0.001})
-    require_finite_parts({"policy": GaussianPolicy([4])})
+    require_sound_metrics(SOUND)
+    require_sound_metrics({"q_loss": 0.0, "std": 0.001})
+    require_finite_modules({"policy": GaussianPolicy([4])})
 
 
 @pytest.mark.parametrize(
@@ -42,7 +42,7 @@ def test_what_is_sound_passes():
 )
 def test_what_is_not_is_named(change, message):
     with pytest.raises(FloatingPointError, match=message):
-        require_sound(SOUND | change)
+        require_sound_metrics(SOUND | change)
 
 
 def test_weights_and_memories_are_looked_at():
@@ -50,20 +50,20 @@ def test_weights_and_memories_are_looked_at():
     optimizer = torch.optim.Adam(policy.parameters())
     policy(torch.zeros(2, 12))[0].sum().backward()
     optimizer.step()
-    require_finite_parts({"policy": policy, "optimizer": optimizer})
+    require_finite_modules({"policy": policy, "optimizer": optimizer})
     optimizer.state[policy.head.bias]["exp_avg"][1] = math.nan
     with pytest.raises(FloatingPointError, match=r"optimizer\.3\.exp_avg has values that are not finite"):
-        require_finite_parts({"policy": policy, "optimizer": optimizer})
+        require_finite_modules({"policy": policy, "optimizer": optimizer})
     policy.head.weight.data[0, 0] = math.inf
     with pytest.raises(FloatingPointError, match=r"policy\.head\.weight has values"):
-        require_finite_parts({"policy": policy})
+        require_finite_modules({"policy": policy})
 
 
 def test_what_is_left_is_said(tmp_path):
     for file, left in ((tmp_path / "none", "nothing was written yet"), (tmp_path, "nothing was written yet")):
         with (
             pytest.raises(FloatingPointError, match=f"stopped in generation 3: gone; {left}"),
-            stopping("generation 3", file),
+            name_divergence("generation 3", file),
         ):
             raise FloatingPointError("gone")
 
@@ -98,17 +98,17 @@ def test_every_algorithm_shows_a_reward_that_is_no_number(algorithm):
     torch.manual_seed(0)
     policy = GaussianPolicy([8], "paddle")
     learner = build(cfg.algorithm).learner(policy, 0.99)
-    require_sound(learner.update(play_with(0.0)))
-    require_finite_parts({"policy": policy, **learner.parts()})
+    require_sound_metrics(learner.update(play_with(0.0)))
+    require_finite_modules({"policy": policy, **learner.parts()})
     with pytest.raises((FloatingPointError, ValueError), match=r"nan|not finite"):
-        require_sound(learner.update(play_with(math.nan)))
-        require_finite_parts({"policy": policy, **learner.parts()})
+        require_sound_metrics(learner.update(play_with(math.nan)))
+        require_finite_modules({"policy": policy, **learner.parts()})
 
 
 def test_trpo_takes_no_step_of_which_it_cannot_say_where_it_leads():
     with initialize_config_dir(str(CONF), version_base="1.3"):
         settings = build(compose("train").algorithm)
-    learner = TrustRegion(settings, GaussianPolicy([8]), 0.99)
+    learner = TRPOLearner(settings, GaussianPolicy([8]), 0.99)
     before = [parameter.clone() for parameter in learner.policy.parameters()]
     observation, action = torch.randn(50, 12), torch.randn(50, 2)
     metrics = learner.improve_policy(observation, action, torch.full((50,), math.nan))
@@ -119,7 +119,7 @@ def test_trpo_takes_no_step_of_which_it_cannot_say_where_it_leads():
 def test_a_training_that_diverges_ends_in_one_line_with_its_last_good_state(tmp_path, monkeypatch, capsys):
     """In its third generation rewards become NaN; what the second had written is as it was."""
     few = ["+preset=smoke", "generations=4", "steps_per_generation=500", f"hydra.run.dir={tmp_path}/run"]
-    update, calls, kept = TrustRegion.update, [], {}
+    update, calls, kept = TRPOLearner.update, [], {}
 
     def spoiled(self, view):
         calls.append(1)
@@ -128,7 +128,7 @@ def test_a_training_that_diverges_ends_in_one_line_with_its_last_good_state(tmp_
             view["next", "reward"][0, 0] = math.nan
         return update(self, view)
 
-    monkeypatch.setattr(TrustRegion, "update", spoiled)
+    monkeypatch.setattr(TRPOLearner, "update", spoiled)
     monkeypatch.setattr(sys, "argv", ["train", *few])
     with pytest.raises(SystemExit) as stopped:
         train.main()
@@ -139,7 +139,7 @@ def test_a_training_that_diverges_ends_in_one_line_with_its_last_good_state(tmp_
     )
     assert kept == {path.name: path.read_bytes() for path in (tmp_path / "run").glob("*.safetensors")}
     assert load_tensors(tmp_path / "run" / "state.safetensors")[1]["generation"] == 2
-    monkeypatch.setattr(TrustRegion, "update", update)
+    monkeypatch.setattr(TRPOLearner, "update", update)
     monkeypatch.setattr(sys, "argv", ["train", f"resume={tmp_path}/run", f"hydra.run.dir={tmp_path}/log"])
     train.main()
     assert (tmp_path / "run" / "card.json").is_file()

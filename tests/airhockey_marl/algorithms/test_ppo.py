@@ -13,7 +13,7 @@ from torch import nn
 from torch.optim import Optimizer
 
 from airhockey_marl.algorithms.base import Algorithm
-from airhockey_marl.algorithms.ppo import PPO
+from airhockey_marl.algorithms.ppo import PPOConfig
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.players.networks import BODY_SCALE, Critic, GaussianPolicy
@@ -23,8 +23,8 @@ SETTINGS = {
     "epochs": 5,
     "minibatch": 700,
     "lr": 5e-3,
-    "entropy_coefficient": 0.0,
-    "critic_coefficient": 0.5,
+    "entropy_coef": 0.0,
+    "critic_coef": 0.5,
     "max_grad_norm": 0.5,
     "gae_lambda": 0.95,
     "critic": partial(Critic, [32]),
@@ -146,7 +146,7 @@ def same(one: Any, other: Any) -> bool:
 
 
 def test_it_learns_what_pays_later():
-    policy, metrics = learned(PPO(**SETTINGS), batches=20)
+    policy, metrics = learned(PPOConfig(**SETTINGS), batches=20)
     assert regret(policy) < regret(GaussianPolicy([32])) / 6
     assert all(0 < m["kl"] < 0.2 for m in metrics)
     assert metrics[-1]["std"] < metrics[0]["std"] - 0.1
@@ -157,7 +157,7 @@ def test_it_learns_what_pays_later():
 def test_a_round_that_is_cut_off_is_not_over(terminated, value):
     """With 1 a step and a discount of one half, two is what an endless round is worth."""
     torch.manual_seed(0)
-    learner = PPO(**SETTINGS).learner(GaussianPolicy([8]), gamma=0.5)
+    learner = PPOConfig(**SETTINGS).learner(GaussianPolicy([8]), gamma=0.5)
     for _ in range(25):
         learner.update(always(1.0, terminated))
     assert learner.critic(torch.zeros(12)).item() == pytest.approx(value, abs=0.1)
@@ -166,13 +166,13 @@ def test_a_round_that_is_cut_off_is_not_over(terminated, value):
 def test_the_entropy_coefficient_keeps_the_std_up():
     stds = []
     for coefficient in (0.0, 0.1):
-        _, metrics = learned(PPO(**{**SETTINGS, "entropy_coefficient": coefficient}), batches=8)
+        _, metrics = learned(PPOConfig(**{**SETTINGS, "entropy_coef": coefficient}), batches=8)
         stds.append(metrics[-1]["std"])
     assert stds[0] < stds[1] - 0.05
 
 
 def test_it_can_be_resumed_exactly():
-    check_resuming(PPO(**SETTINGS))
+    check_resuming(PPOConfig(**SETTINGS))
 
 
 @pytest.mark.parametrize(
@@ -183,16 +183,16 @@ def test_it_can_be_resumed_exactly():
         ("epochs", 0),
         ("minibatch", 0),
         ("lr", -1.0),
-        ("entropy_coefficient", -0.1),
-        ("critic_coefficient", 0.0),
+        ("entropy_coef", -0.1),
+        ("critic_coef", 0.0),
         ("max_grad_norm", 0.0),
         ("gae_lambda", 1.5),
     ],
 )
 def test_wrong_settings_are_named(field, value):
     with pytest.raises(ValueError, match=rf"algorithm\.{field} = {value} must be "):
-        PPO(**{**SETTINGS, field: value})
+        PPOConfig(**{**SETTINGS, field: value})
 
 
 def test_the_yaml_is_a_ppo():
-    assert isinstance(build(OmegaConf.load(CONF / "algorithm" / "ppo.yaml")), PPO)
+    assert isinstance(build(OmegaConf.load(CONF / "algorithm" / "ppo.yaml")), PPOConfig)

@@ -3,9 +3,9 @@
 import pytest
 import torch
 
-from airhockey_marl.algorithms.reward_shaping import Shaping, on_goal
+from airhockey_marl.algorithms.reward_shaping import RewardShaping, on_goal
 
-SHAPING = Shaping(position=0.3, velocity=0.6, shot=0.4, approach=0.6)
+SHAPING = RewardShaping(position=0.3, velocity=0.6, shot=0.4, approach=0.6)
 
 
 def path(ticks: int) -> torch.Tensor:
@@ -32,7 +32,7 @@ def test_the_potential_prefers_what_it_says():
 
     assert better(10, 2.0) and not better(10, -2.0)  # the puck moves toward the opponent
     assert better(0, -0.38) and not better(0, -0.1)  # the paddle comes behind the puck, not before it
-    assert Shaping(1.0, 0.0, 0.0, 0.0).potential(state) < Shaping(1.0, 0.0, 0.0, 0.0).potential(
+    assert RewardShaping(1.0, 0.0, 0.0, 0.0).potential(state) < RewardShaping(1.0, 0.0, 0.0, 0.0).potential(
         state.index_fill(0, torch.tensor(8), 0.5)
     )
 

@@ -4,7 +4,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from airhockey_marl.algorithms.sac import SAC, Memory, QNetwork
+from airhockey_marl.algorithms.sac import QNetwork, ReplayBuffer, SACConfig
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.players.networks import GaussianPolicy
@@ -26,7 +26,7 @@ SETTINGS = {
 
 
 def test_it_learns_what_pays_later():
-    policy, metrics = learned(SAC(**SETTINGS), batches=12)
+    policy, metrics = learned(SACConfig(**SETTINGS), batches=12)
     assert regret(policy) < regret(GaussianPolicy([32])) / 6
     assert metrics[-1]["q_loss"] < metrics[0]["q_loss"] / 4
     assert metrics[-1]["std"] < metrics[0]["std"] - 0.1
@@ -37,7 +37,7 @@ def test_a_round_that_is_cut_off_is_not_over(terminated, value):
     """With 1 a step and a discount of one half, two is what an endless round is worth."""
     torch.manual_seed(0)
     settings = {**SETTINGS, "temperature": 1e-6, "tau": 0.1, "q_lr": 1e-2}
-    learner = SAC(**settings).learner(GaussianPolicy([8]), gamma=0.5)
+    learner = SACConfig(**settings).learner(GaussianPolicy([8]), gamma=0.5)
     for _ in range(4):
         learner.update(always(1.0, terminated))
     transitions, q = learner.memory.sample(100), learner.loss.qvalue_network
@@ -50,12 +50,12 @@ def test_the_temperature_holds_the_entropy():
     """It falls while the entropy is above the target, and rises while it is below."""
     torch.manual_seed(0)
     policy = GaussianPolicy([8])
-    learner = SAC(**{**SETTINGS, "target_entropy": 0.0}).learner(policy, gamma=0.5)
+    learner = SACConfig(**{**SETTINGS, "target_entropy": 0.0}).learner(policy, gamma=0.5)
     falling = learner.update(always(0.0, True))["temperature"]
     assert falling < SETTINGS["temperature"]  # an STD of 0.5 in each is an entropy of 1.45
     with torch.no_grad():
         policy.head.bias[2:] = -4.0
-    learner = SAC(**{**SETTINGS, "target_entropy": 0.0}).learner(policy, gamma=0.5)
+    learner = SACConfig(**{**SETTINGS, "target_entropy": 0.0}).learner(policy, gamma=0.5)
     assert learner.update(always(0.0, True))["temperature"] > SETTINGS["temperature"]
 
 
@@ -71,7 +71,7 @@ def test_means_stay_about_where_the_table_takes_them():
     for cost in (0.0, 1.0):
         torch.manual_seed(0)
         policy = GaussianPolicy([8])
-        learner = SAC(**{**SETTINGS, "outside_cost": cost, "policy_lr": 2e-2}).learner(policy, gamma=0.5)
+        learner = SACConfig(**{**SETTINGS, "outside_cost": cost, "policy_lr": 2e-2}).learner(policy, gamma=0.5)
         for _ in range(4):
             view = always(0.0, True)
             view["action"] = 2.0 * torch.randn(50, 10, 2)
@@ -82,7 +82,7 @@ def test_means_stay_about_where_the_table_takes_them():
 
 
 def test_the_memory_keeps_the_newest():
-    memory = Memory(30)
+    memory = ReplayBuffer(30)
     batches = [always(float(number), True)[:2] for number in range(3)]  # of 20
     for filled, batch in zip((20, 30, 30), batches, strict=True):
         memory.extend(batch)
@@ -94,7 +94,7 @@ def test_the_memory_keeps_the_newest():
 
 def test_the_memory_gives_transitions_back_whole():
     view = foresight(GaussianPolicy([8]), torch.Generator().manual_seed(0))
-    memory = Memory(5000)
+    memory = ReplayBuffer(5000)
     memory.extend(view)
     flat = view.reshape(-1)
     for transition in memory.sample(50).unbind(0):
@@ -106,7 +106,7 @@ def test_the_memory_gives_transitions_back_whole():
 
 
 def test_it_can_be_resumed_exactly():
-    check_resuming(SAC(**{**SETTINGS, "capacity": 5000}))  # the ring is full by the third batch
+    check_resuming(SACConfig(**{**SETTINGS, "capacity": 5000}))  # the ring is full by the third batch
 
 
 @pytest.mark.parametrize(
@@ -124,15 +124,15 @@ def test_it_can_be_resumed_exactly():
 )
 def test_wrong_settings_are_named(field, value):
     with pytest.raises(ValueError, match=rf"algorithm\.{field} = {value} must be "):
-        SAC(**{**SETTINGS, field: value})
+        SACConfig(**{**SETTINGS, field: value})
 
 
 def test_wrong_layers_are_named():
     with pytest.raises(ValueError, match=r"algorithm\.q_hidden = \(\) must name"):
-        SAC(**{**SETTINGS, "q_hidden": []})
+        SACConfig(**{**SETTINGS, "q_hidden": []})
 
 
 def test_the_yaml_is_a_sac():
     algorithm = build(OmegaConf.load(CONF / "algorithm" / "sac.yaml"))
-    assert isinstance(algorithm, SAC)
+    assert isinstance(algorithm, SACConfig)
     assert len(algorithm.learner(GaussianPolicy(), 0.98).parts()["memory"].reward) == algorithm.capacity

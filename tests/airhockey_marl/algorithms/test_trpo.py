@@ -11,20 +11,20 @@ from torch.nn.utils import parameters_to_vector
 from torchrl.objectives.value import GAE
 
 from airhockey_marl.algorithms.advantages import advantages
-from airhockey_marl.algorithms.trpo import TRPO, FisherVectorProduct, conjugate_gradient, kl_divergence, log_prob
+from airhockey_marl.algorithms.trpo import FisherVectorProduct, TRPOConfig, conjugate_gradient, kl_divergence, log_prob
 from airhockey_marl.players.networks import BODY_SCALE, Critic, GaussianPolicy
 
 SETTINGS = {
     "max_kl": 0.02,
-    "cg_steps": 10,
+    "cg_max_steps": 10,
     "damping": 0.1,
-    "fisher_share": 1.0,
-    "backtracks": 10,
+    "fisher_subsample": 1.0,
+    "line_search_max_iter": 10,
     "shrink": 0.7,
     "gae_lambda": 0.95,
     "critic": partial(Critic, [32]),
-    "critic_passes": 3,
-    "critic_minibatch": 250,
+    "critic_epochs": 3,
+    "critic_batch_size": 250,
     "critic_lr": 1e-3,
 }
 
@@ -101,11 +101,14 @@ def bandit(policy: GaussianPolicy, generator: torch.Generator, rounds: int = 200
     )
 
 
-@pytest.mark.parametrize("fisher_share", [1.0, 0.25])
-def test_it_learns_and_stays_in_the_trust_region(fisher_share):
+@pytest.mark.parametrize("fisher_subsample", [1.0, 0.25])
+def test_it_learns_and_stays_in_the_trust_region(fisher_subsample):
     torch.manual_seed(0)
     policy = GaussianPolicy([32])
-    learner, generator = TRPO(**SETTINGS | {"fisher_share": fisher_share}).learner(policy, 0.9), torch.Generator()
+    learner, generator = (
+        TRPOConfig(**SETTINGS | {"fisher_subsample": fisher_subsample}).learner(policy, 0.9),
+        torch.Generator(),
+    )
     first = bandit(policy, generator)["next", "reward"].mean()
     metrics = [learner.update(bandit(policy, generator)) for _ in range(30)]
     assert all(0 < m["kl"] <= SETTINGS["max_kl"] for m in metrics)
@@ -115,7 +118,7 @@ def test_it_learns_and_stays_in_the_trust_region(fisher_share):
 
 def test_a_batch_that_teaches_nothing_changes_nothing():
     policy = GaussianPolicy([8])
-    learner = TRPO(**SETTINGS).learner(policy, 0.9)
+    learner = TRPOConfig(**SETTINGS).learner(policy, 0.9)
     before = parameters_to_vector(policy.parameters()).clone()
     play = bandit(policy, torch.Generator().manual_seed(0))
     metrics = learner.improve_policy(play["observation"].squeeze(1), play["action"].squeeze(1), torch.ones(2000))
@@ -124,8 +127,9 @@ def test_a_batch_that_teaches_nothing_changes_nothing():
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("max_kl", 0.0), ("cg_steps", 0), ("damping", -1.0), ("shrink", 1.0), ("fisher_share", 0.0)]
+    ("field", "value"),
+    [("max_kl", 0.0), ("cg_max_steps", 0), ("damping", -1.0), ("shrink", 1.0), ("fisher_subsample", 0.0)],
 )
 def test_wrong_settings_are_named(field, value):
     with pytest.raises(ValueError, match=f"algorithm.{field} = {value}"):
-        TRPO(**{**SETTINGS, field: value})
+        TRPOConfig(**{**SETTINGS, field: value})

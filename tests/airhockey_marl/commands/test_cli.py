@@ -22,7 +22,7 @@ from guidance.commands import collect, evaluate, meta_train
 from guidance.commands import validate_users as battery
 from guidance.statistics import report
 from guidance.study.models import Models
-from guidance.study.provenance import hashes_of, manifest
+from guidance.study.provenance import file_hashes, manifest
 from tests import ROOT
 
 COMMANDS = {
@@ -206,10 +206,10 @@ def test_the_shipped_defaults_are_the_frozen_study():
     with initialize_config_dir(str(CONF), version_base=None):
         cfg = compose("evaluate")
     models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-    facts = manifest(cfg, hashes_of(cfg, models), "", 0.0)
+    facts = manifest(cfg, file_hashes(cfg, models), "", 0.0)
     assert facts["frozen"]
     cfg.opponent += 1
-    assert not manifest(cfg, hashes_of(cfg, models), "", 0.0)["frozen"]
+    assert not manifest(cfg, file_hashes(cfg, models), "", 0.0)["frozen"]
 
 
 def test_a_sweep_over_the_nine_merges_into_the_report_of_one_run(monkeypatch, models, tmp_path):
@@ -276,7 +276,7 @@ def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
         ("meta_train", "users.variant=V9", "users.variant = 'V9' must be one of V0, V1, V2"),
         ("evaluate", "users.withdrawn=[joy]", "users.withdrawn: 'joy' must be one of helpfulness"),
         ("evaluate", "users.mentors=nobody.safetensors", "no such file: nobody.safetensors"),
-        ("train", "algorithm.fisher_share=2", "algorithm.fisher_share = 2"),
+        ("train", "algorithm.fisher_subsample=2", "algorithm.fisher_subsample = 2"),
         ("train", "algorithm=dqn", "algorithm = dqn must be one of ppo, sac, trpo"),
         ("train", "hidden=[]", "hidden"),
         ("train", "inputs=puck", "inputs = 'puck' must be 'table' or 'paddle'"),

@@ -11,7 +11,7 @@ import time
 import pytest
 
 from airhockey_marl.commands import runs
-from airhockey_marl.experiment.run_folder import RECORD, Run, birth_of, read_run, runs_below, what_is_lost
+from airhockey_marl.experiment.run_folder import RECORD, RunRecord, files_at_risk, process_start, read_run, runs_below
 from tests.airhockey_marl.commands.test_cli import kill_at_the_first_checkpoint, start
 
 HERE = socket.gethostname()
@@ -20,7 +20,7 @@ HERE = socket.gethostname()
 def gone() -> dict:
     """The process of a run that was killed."""
     process = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    birth = birth_of(process.pid)
+    birth = process_start(process.pid)
     process.kill()
     process.wait()
     return {"host": HERE, "pid": process.pid, "birth": birth}
@@ -29,7 +29,7 @@ def gone() -> dict:
 @pytest.fixture
 def outputs(tmp_path):
     """One run of each kind, as they are found."""
-    alive = {"host": HERE, "pid": os.getpid(), "birth": birth_of(os.getpid())}
+    alive = {"host": HERE, "pid": os.getpid(), "birth": process_start(os.getpid())}
     kinds = {
         "done": {"status": "done", "seconds": 90.0},
         "failed": {"status": "failed", "seconds": 1.0, "error": "seed = -1 must be"},
@@ -44,7 +44,9 @@ def outputs(tmp_path):
     for number, (name, facts) in enumerate(kinds.items()):
         folder = tmp_path / "outputs" / name
         folder.mkdir(parents=True)
-        Run(folder, "train", ["seed=1", "hydra.verbose=true"], started=time.time() - 100 + number, **facts).write()
+        RunRecord(
+            folder, "train", ["seed=1", "hydra.verbose=true"], started=time.time() - 100 + number, **facts
+        ).write()
     (tmp_path / "outputs" / "killed_later" / "state.safetensors").touch()
     old = tmp_path / "outputs" / "old" / ".hydra"
     old.mkdir(parents=True)
@@ -111,13 +113,13 @@ def test_a_fresh_run_in_the_folder_of_another_is_refused_before_anything_is_writ
 
 
 def test_there_is_something_to_lose_of_a_run_that_is_on_or_can_be_resumed_or_has_left_files(outputs):
-    lost = {name: what_is_lost(outputs / name) for name in STATES if name != "within"}
+    lost = {name: files_at_risk(outputs / name) for name in STATES if name != "within"}
     assert {name for name, what in lost.items() if what} == {"on", "elsewhere", "killed_later"}
     assert lost["killed_later"] == f"a run that can be gone on with: resume={outputs}/killed_later"
     (outputs / "old" / "train.log").touch()
-    assert what_is_lost(outputs / "old") is None
+    assert files_at_risk(outputs / "old") is None
     (outputs / "old" / "card.json").touch()
-    assert what_is_lost(outputs / "old") == "a run that has left card.json"
+    assert files_at_risk(outputs / "old") == "a run that has left card.json"
 
 
 def test_one_command_or_status_can_be_asked_for(monkeypatch, capsys, outputs):
@@ -129,7 +131,7 @@ def test_one_command_or_status_can_be_asked_for(monkeypatch, capsys, outputs):
 
 def test_only_what_failed_is_removed_and_only_after_a_yes(monkeypatch, capsys, outputs, tmp_path):
     elsewhere = tmp_path / "elsewhere"
-    Run(elsewhere, "train", status="failed").write()
+    RunRecord(elsewhere, "train", status="failed").write()
     (outputs / "link").symlink_to(elsewhere)
     (outputs / "failed" / "link").symlink_to(elsewhere)
     before = {path.name for path in outputs.iterdir()}
@@ -145,8 +147,8 @@ def test_only_what_failed_is_removed_and_only_after_a_yes(monkeypatch, capsys, o
 
 def test_a_run_taken_up_again_while_one_was_asked_is_kept(outputs):
     lost = runs.removable([read_run(outputs / "killed"), read_run(outputs / "failed")])
-    now = {"host": HERE, "pid": os.getpid(), "birth": birth_of(os.getpid())}
-    Run(outputs / "killed", "train", status="running", **now).write()
+    now = {"host": HERE, "pid": os.getpid(), "birth": process_start(os.getpid())}
+    RunRecord(outputs / "killed", "train", status="running", **now).write()
     assert [run.folder.name for run in runs.remove(lost)] == ["failed"]
     assert (outputs / "killed").is_dir()
 

@@ -7,8 +7,8 @@ from pettingzoo.test import parallel_api_test
 from torchrl.envs.utils import check_env_specs
 
 from airhockey_marl.envs.pettingzoo_env import AirHockey
-from airhockey_marl.envs.physics import PUCK, RIGHT, Table
-from airhockey_marl.envs.torchrl_env import AirHockeyTables, make_env
+from airhockey_marl.envs.physics import PUCK, RIGHT, TableSpec
+from airhockey_marl.envs.torchrl_env import AirHockeyEnv, make_env
 from airhockey_marl.envs.world import SEATS
 
 
@@ -29,14 +29,14 @@ def test_pettingzoo_api():
 
 
 def test_torchrl_specs():
-    check_env_specs(AirHockeyTables(3, round_seconds=0.2, seed=1))
+    check_env_specs(AirHockeyEnv(3, round_seconds=0.2, seed=1))
 
 
-@pytest.mark.parametrize("decision_ticks", [1, 3])
-def test_both_backends_give_the_same_trajectories_bit_for_bit(decision_ticks):
+@pytest.mark.parametrize("frame_skip", [1, 3])
+def test_both_backends_give_the_same_trajectories_bit_for_bit(frame_skip):
     generator = torch.Generator().manual_seed(0)
     actions = 2.4 * torch.rand(400, 2, 3, 1, 2, generator=generator) - 1.2  # some of them to be clipped
-    batched, pettingzoo = (make_env(backend, 3, 2.0, decision_ticks, 5) for backend in ("batched", "pettingzoo"))
+    batched, pettingzoo = (make_env(backend, 3, 2.0, frame_skip, 5) for backend in ("batched", "pettingzoo"))
     assert torch.equal(rollout(batched, actions), rollout(pettingzoo, actions))
 
 
@@ -64,7 +64,7 @@ def test_the_right_seat_sees_the_table_after_a_half_turn():
 
 
 def test_actions_are_positions_from_the_midpoint_of_the_side():
-    env, table = AirHockey(), Table()
+    env, table = AirHockey(), TableSpec()
     env.reset(seed=0)
     for _ in range(60):
         env.tables.bodies[0, PUCK] = (0.0, 0.45, 0.0, 0.0)
@@ -98,7 +98,7 @@ def test_an_action_that_is_not_a_number_means_stay():
     env.reset(seed=0)
     nothing = {seat: np.full(2, np.nan, dtype=np.float32) for seat in SEATS}
     seen, *_ = env.step(nothing)
-    assert seen["left"][:4] == pytest.approx((-Table().length / 4, 0, 0, 0))
+    assert seen["left"][:4] == pytest.approx((-TableSpec().length / 4, 0, 0, 0))
 
 
 def test_render():
@@ -116,9 +116,9 @@ def test_render():
     ("make", "message"),
     [
         (lambda: AirHockey(round_seconds=0.0), "round_seconds = 0.0"),
-        (lambda: AirHockey(decision_ticks=0), "decision_ticks = 0"),
+        (lambda: AirHockey(frame_skip=0), "frame_skip = 0"),
         (lambda: AirHockey(render_mode="human"), "render_mode = 'human'"),
-        (lambda: AirHockeyTables(0), "tables = 0"),
+        (lambda: AirHockeyEnv(0), "tables = 0"),
         (lambda: make_env("gym", 1, 1.0, 1, 0), "env.backend = 'gym'"),
     ],
 )

@@ -14,17 +14,17 @@ from airhockey_marl.envs.physics import (
     RIGHT,
     VX,
     VY,
-    Table,
+    TableSpec,
     X,
     Y,
     _first_contact,
     _out_of_reach,
+    action_range,
     check_table,
-    reach,
-    tick,
+    step_physics,
 )
 
-TABLE = Table()
+TABLE = TableSpec()
 TOUCHING = TABLE.puck_radius + TABLE.paddle_radius
 SIDE, END = TABLE.width / 2 - TABLE.puck_radius, TABLE.length / 2 - TABLE.puck_radius
 NOWHERE = np.full((2, 2), np.nan)  # targets: stay
@@ -42,7 +42,7 @@ def legal_states(draw, fastest=20.0):
     """Paddles in their halves, the puck on the table and in no paddle."""
     unit = st.floats(0, 1)
     bodies = np.zeros((3, 4))
-    middle, half = reach(TABLE)
+    middle, half = action_range(TABLE)
     for seat, turn in ((LEFT, 1), (RIGHT, -1)):
         place = middle + half * (2 * np.array([draw(unit), draw(unit)]) - 1)
         bodies[seat, :2] = turn * place
@@ -65,7 +65,7 @@ def legal_states(draw, fastest=20.0):
 def test_nothing_leaves_the_table_or_overlaps_or_becomes_nan(state):
     bodies, targets = state
     for _ in range(25):
-        goal, _ = tick(bodies, targets, TABLE)
+        goal, _ = step_physics(bodies, targets, TABLE)
         assert np.isfinite(bodies).all()
         x, y = bodies[PUCK, :2]
         assert abs(y) <= SIDE + 1e-9
@@ -86,8 +86,8 @@ def test_swapping_the_seats_mirrors_the_trajectory_exactly(state):
     bodies, targets = state
     mirrored, mirrored_targets = -bodies[[RIGHT, LEFT, PUCK]], -targets[::-1]
     for _ in range(10):
-        goal, touched = tick(bodies, targets, TABLE)
-        mirrored_goal, mirrored_touched = tick(mirrored, mirrored_targets, TABLE)
+        goal, touched = step_physics(bodies, targets, TABLE)
+        mirrored_goal, mirrored_touched = step_physics(mirrored, mirrored_targets, TABLE)
         assert np.array_equal(mirrored, -bodies[[RIGHT, LEFT, PUCK]])
         assert mirrored_goal == -goal
         assert mirrored_touched == (touched >> 1) | (touched & 1) << 1
@@ -106,11 +106,11 @@ def test_no_contact_is_out_of_reach(state):
 @settings(max_examples=200, deadline=None)
 @given(st.floats(-0.9, 0.9), st.floats(-0.4, 0.4), st.floats(0, 2 * np.pi), st.floats(0.01, 20))
 def test_energy_never_grows_without_a_paddle(x, y, angle, speed):
-    empty = Table(paddle_radius=1e-6)  # paddles too small to matter, in opposite corners
+    empty = TableSpec(paddle_radius=1e-6)  # paddles too small to matter, in opposite corners
     bodies = table_with((x, y, speed * np.cos(angle), speed * np.sin(angle)), (-0.97, -0.51), (0.97, 0.51))
     energy = (bodies[PUCK, 2:] ** 2).sum()
     for _ in range(50):
-        goal, touched = tick(bodies, NOWHERE, empty)
+        goal, touched = step_physics(bodies, NOWHERE, empty)
         assume(not touched)
         after = (bodies[PUCK, 2:] ** 2).sum()
         assert after <= energy
@@ -122,9 +122,9 @@ def test_energy_never_grows_without_a_paddle(x, y, angle, speed):
 @pytest.mark.parametrize("speed", [1.0, 5.0, 20.0, 200.0])
 def test_a_fast_puck_bounces_off_a_paddle_at_the_exact_moment(speed):
     bodies = table_with((-0.2, 0.0, -speed, 0.0), left=(-0.5, 0.0))
-    ideal = Table(drag=0.0, friction=0.0)
+    ideal = TableSpec(drag=0.0, friction=0.0)
     for _ in range(40):
-        _, touched = tick(bodies, NOWHERE, ideal)
+        _, touched = step_physics(bodies, NOWHERE, ideal)
         if touched:
             break
     assert touched == 1
@@ -134,13 +134,13 @@ def test_a_fast_puck_bounces_off_a_paddle_at_the_exact_moment(speed):
 
 def test_a_moving_paddle_hits_harder():
     """v' = v + (1 + e)(V - v) along the contact normal, for a paddle of unlimited mass."""
-    ideal = Table(drag=0.0, friction=0.0)
+    ideal = TableSpec(drag=0.0, friction=0.0)
     bodies = table_with((-0.3, 0.0, -1.0, 0.0), left=(-0.5, 0.0))
     bodies[LEFT, VX] = 2.0
     targets = np.array([[10.0, 0.0], [np.nan, np.nan]])  # far ahead: it keeps accelerating
     for _ in range(10):
         before = bodies.copy()
-        _, touched = tick(bodies, targets, ideal)
+        _, touched = step_physics(bodies, targets, ideal)
         if touched:
             break
     paddle = (bodies[PUCK, VX] - ideal.paddle_restitution * 1.0) / (1 + ideal.paddle_restitution)
@@ -148,9 +148,9 @@ def test_a_moving_paddle_hits_harder():
 
 
 def test_a_wall_takes_its_share_of_the_normal_velocity_alone():
-    ideal = Table(drag=0.0, friction=0.0)
+    ideal = TableSpec(drag=0.0, friction=0.0)
     bodies = table_with((0.0, SIDE - 0.01, 1.0, 2.0))
-    tick(bodies, NOWHERE, ideal)
+    step_physics(bodies, NOWHERE, ideal)
     assert bodies[PUCK, VX] == 1.0
     assert bodies[PUCK, VY] == pytest.approx(-2.0 * ideal.wall_restitution)
 
@@ -158,23 +158,23 @@ def test_a_wall_takes_its_share_of_the_normal_velocity_alone():
 @pytest.mark.parametrize(("y", "scores"), [(0.0, True), (0.09, True), (0.14, False), (0.3, False)])
 def test_the_goal_is_its_mouth(y, scores):
     bodies = table_with((0.7, y, 3.0, 0.0))
-    goals = [tick(bodies, NOWHERE, TABLE)[0] for _ in range(10)]
+    goals = [step_physics(bodies, NOWHERE, TABLE)[0] for _ in range(10)]
     assert (1 in goals) is scores
 
 
 def test_a_post_turns_the_puck_away():
     """Head on to the post's tip: back where it came from, at the wall's restitution."""
-    ideal = Table(drag=0.0, friction=0.0)
+    ideal = TableSpec(drag=0.0, friction=0.0)
     bodies = table_with((0.7, TABLE.goal / 2 - 1e-9, 3.0, 0.0))
     for _ in range(10):
-        tick(bodies, NOWHERE, ideal)
+        step_physics(bodies, NOWHERE, ideal)
     assert bodies[PUCK, VX] == pytest.approx(-3.0 * ideal.wall_restitution, rel=1e-3)
 
 
 def test_friction_stops_the_puck():
     bodies = table_with((0.0, 0.0, 0.03, 0.0))
     for _ in range(250):
-        tick(bodies, NOWHERE, TABLE)
+        step_physics(bodies, NOWHERE, TABLE)
     assert (bodies[PUCK, 2:] == 0).all()
 
 
@@ -183,7 +183,7 @@ def test_a_paddle_keeps_to_its_limits_and_arrives():
     target = np.array([[-0.2, 0.4], [np.nan, np.nan]])
     velocity = bodies[LEFT, 2:].copy()
     for _ in range(60):
-        tick(bodies, target, TABLE)
+        step_physics(bodies, target, TABLE)
         assert np.hypot(*bodies[LEFT, 2:]) <= TABLE.paddle_speed * (1 + 1e-12)
         assert np.hypot(*(bodies[LEFT, 2:] - velocity)) <= TABLE.paddle_acceleration * TABLE.tick * (1 + 1e-9)
         velocity = bodies[LEFT, 2:].copy()
@@ -200,7 +200,7 @@ def test_a_wedged_puck_is_not_shot_out_faster_than_strokes_can_make_it():
         bodies = table_with((rng.uniform(-0.9, -0.05), SIDE, 0.0, 0.0), left=(rng.uniform(-0.9, -0.05), 0.2))
         for _ in range(100):
             target = bodies[PUCK, :2] + rng.normal(0, 0.05, 2)
-            goal, _ = tick(bodies, np.array([target, [np.nan, np.nan]]), TABLE)
+            goal, _ = step_physics(bodies, np.array([target, [np.nan, np.nan]]), TABLE)
             assert np.hypot(*bodies[PUCK, 2:]) < 1.2 * fastest  # sideways it keeps what it had
             if goal:
                 break
@@ -210,7 +210,7 @@ def test_a_puck_squeezed_into_the_wall_stays_on_the_table():
     bodies = table_with((-0.4, SIDE - 0.01, 0.0, 0.0), left=(-0.4, 0.3))
     target = np.array([[-0.4, 0.6], [np.nan, np.nan]])
     for _ in range(100):
-        tick(bodies, target, TABLE)
+        step_physics(bodies, target, TABLE)
         assert abs(bodies[PUCK, Y]) <= SIDE + 1e-9
         assert np.hypot(*(bodies[PUCK, :2] - bodies[LEFT, :2])) >= TOUCHING - 1e-3
 
@@ -242,7 +242,7 @@ def test_a_table_that_cannot_be_played_on_is_refused_by_name(field, value):
 
 def test_a_paddle_that_has_no_room_in_its_half_is_refused():
     """Its bounds would be the wrong way round, and it would live on the other side."""
-    wide = Table(length=1.5, width=2.0, paddle_radius=0.4)
+    wide = TableSpec(length=1.5, width=2.0, paddle_radius=0.4)
     with pytest.raises(ValueError, match=r"table\.paddle_radius = 0\.4 must be below a quarter of the table's length"):
         check_table(wide)
     assert check_table(wide._replace(length=1.7))

@@ -6,16 +6,16 @@ import sys
 import numpy as np
 import pytest
 
-from airhockey_marl.envs.physics import PUCK, VX, VY, Table, X, Y
-from airhockey_marl.envs.world import Tables
+from airhockey_marl.envs.physics import PUCK, VX, VY, TableSpec, X, Y
+from airhockey_marl.envs.world import World
 
-TABLE = Table()
+TABLE = TableSpec()
 
 
 def test_a_stalled_puck_is_served_again_and_one_kept_too_long_too():
     stay = np.zeros((1, 2, 2))
     for puck, seconds in (((0.5, 0.3, 0.0, 0.0), TABLE.stall_seconds), (None, TABLE.possession_seconds)):
-        tables = Tables(1)
+        tables = World(1)
         tables.new_rounds()
         ticks = 0
         while not tables.served[0]:
@@ -28,8 +28,8 @@ def test_a_stalled_puck_is_served_again_and_one_kept_too_long_too():
 
 
 def test_a_batch_plays_like_single_tables_whichever_loop_runs_it():
-    n, rng = Tables.PARALLEL_FROM, np.random.default_rng(0)
-    batch, singles = Tables(n), [Tables(1) for _ in range(n)]
+    n, rng = World.PARALLEL_FROM, np.random.default_rng(0)
+    batch, singles = World(n), [World(1) for _ in range(n)]
     batch.seed(7)
     for i, single in enumerate(singles):
         single.seed(7 + i)
@@ -47,7 +47,7 @@ def test_a_batch_plays_like_single_tables_whichever_loop_runs_it():
 
 
 def test_serves_differ_between_tables_and_go_to_both_sides():
-    tables = Tables(1000)
+    tables = World(1000)
     tables.new_rounds()
     puck = tables.bodies[:, PUCK]
     assert len(np.unique(puck[:, Y])) == 1000
@@ -61,7 +61,7 @@ def test_the_first_parallel_step_leaves_torchs_threads_alone():
     script = (
         "import numpy as np, torch; from airhockey_marl.envs.world import Tables;"
         "torch.set_num_threads(1); before = torch.get_num_threads();"
-        f"n = {Tables.PARALLEL_FROM}; Tables(n).step(np.zeros((n, 2, 2), dtype=np.float32));"
+        f"n = {World.PARALLEL_FROM}; Tables(n).step(np.zeros((n, 2, 2), dtype=np.float32));"
         "print(before, torch.get_num_threads())"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=True)

@@ -10,7 +10,7 @@ import torch
 from omegaconf import OmegaConf
 
 from airhockey_marl.evaluation import comparison as compare
-from airhockey_marl.experiment.files import found_below, save_tensors
+from airhockey_marl.experiment.files import find_files, save_tensors
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
 
@@ -27,7 +27,7 @@ def make_run(folder: Path, algorithm: str, seed: int, hidden: tuple[int, ...] = 
     (folder / "card.json").write_text(json.dumps({"seconds": 8.0, "seed": seed}))
     cfg = {
         "algorithm": {"_target_": f"airhockey_marl.{algorithm.lower()}.{algorithm}", "lr": 0.1},
-        "env": {"decision_ticks": 25},  # half a second: few are soon played
+        "env": {"frame_skip": 25},  # half a second: few are soon played
         "steps_per_generation": STEPS,
         "seed": seed,
         **settings,
@@ -83,7 +83,7 @@ def test_command_plays_and_writes_everything(monkeypatch, capsys, sweep, tmp_pat
 
 
 def test_matches_follow_from_the_seed(sweep):
-    runs = [compare.read_run(file.parent) for file in found_below([sweep], compare.LEAGUE)]
+    runs = [compare.read_run(file.parent) for file in find_files([sweep], compare.LEAGUE)]
     first, second, other = (compare.compare(runs[:2], 4, seed) for seed in (1, 1, 2))
     pd.testing.assert_frame_equal(first, second)
     assert not first.equals(other)
@@ -92,7 +92,7 @@ def test_matches_follow_from_the_seed(sweep):
 def test_a_match_has_the_rounds_that_were_asked_for():
     policy = GaussianPolicy([8])
     for rounds in (1, 100, 150):
-        [counts] = compare.play(policy, policy, 1, rounds, 0, decision_ticks=25)
+        [counts] = compare.play(policy, policy, 1, rounds, 0, frame_skip=25)
         assert sum(counts) == rounds
 
 
@@ -151,7 +151,7 @@ def test_runs_are_found_by_folder_pattern_and_list(sweep):
     everything = [sweep / str(number) for number in range(3)]
 
     def found(*places) -> list[Path]:
-        return [file.parent for file in found_below(places, compare.LEAGUE)]
+        return [file.parent for file in find_files(places, compare.LEAGUE)]
 
     assert found(sweep) == everything
     assert found(f"{sweep}/[02]", sweep / "1") == [everything[0], everything[2], everything[1]]
@@ -180,12 +180,12 @@ def test_runs_that_cannot_be_read_or_compared_are_named(monkeypatch, capsys, swe
     make_run(sweep / "3", "SAC", 0)
     assert "SAC with seed 0 twice" in refused()
     OmegaConf.save({"seed": 3}, sweep / "3" / ".hydra" / "config.yaml")
-    assert "3 does not tell algorithm._target_, steps_per_generation, env.decision_ticks" in refused()
+    assert "3 does not tell algorithm._target_, steps_per_generation, env.frame_skip" in refused()
     (sweep / "3" / ".hydra" / "config.yaml").write_text("a: [")
     assert "3/.hydra/config.yaml is no yaml" in refused()
     (sweep / "3" / "card.json").unlink()
     assert "3 is not a finished training run: it has no card.json" in refused()
-    make_run(sweep / "4", "PPO", 0, env={"decision_ticks": 1})
+    make_run(sweep / "4", "PPO", 0, env={"frame_skip": 1})
     for name in ("league.safetensors", "card.json"):
         (sweep / "3" / name).unlink(missing_ok=True)
     assert "decisions last 25 ticks" in refused()

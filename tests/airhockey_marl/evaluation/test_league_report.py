@@ -18,19 +18,26 @@ from torch.utils.tensorboard import SummaryWriter
 
 from airhockey_marl.commands import league_report
 from airhockey_marl.evaluation.figures import payoff_figure
-from airhockey_marl.evaluation.league_metrics import Effort, Fallen, Findings, measure, members_of_matrix, milestones
+from airhockey_marl.evaluation.league_metrics import (
+    EvaluationBudget,
+    LeagueMetrics,
+    Regressions,
+    evaluate_league,
+    members_of_matrix,
+    milestones,
+)
 from airhockey_marl.evaluation.league_report import draw, log_to_tensorboard, page, summary, write_report
-from airhockey_marl.evaluation.matches import Result
-from airhockey_marl.evaluation.ratings import MATCHES, Gain, Misfit, Share
+from airhockey_marl.evaluation.matches import MatchResult
+from airhockey_marl.evaluation.ratings import MATCHES, GoodnessOfFit, Proportion, RatingDifference
 from airhockey_marl.experiment.files import save_tensors, write_json
 from airhockey_marl.league.league import League
-from airhockey_marl.players.scripted import ANCHORS
+from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 from tests.airhockey_marl.league.test_league import league_of
 
-EFFORT = Effort(every=5, rounds=2, match_rounds=4, save_tables=3, std_tables=4, std_seconds=8.0)
+EFFORT = EvaluationBudget(every=5, rounds=2, match_rounds=4, save_tables=3, std_tables=4, std_seconds=8.0)
 FILES = ["league_report.html", "league_report.json", "match.gif", "payoff.csv", "payoff.png", "precision.png"]
 FILES += ["rating.png", "ratings.csv"]
-BEST_RESPONSE = [(1_000_000, Result(30, 70, 2)), (2_000_000, Result(80, 20, 0))]
+BEST_RESPONSE = [(1_000_000, MatchResult(30, 70, 2)), (2_000_000, MatchResult(80, 20, 0))]
 SECTIONS = [
     "What a league must show",
     "Ratings",
@@ -60,14 +67,14 @@ def league() -> League:
 
 
 @pytest.fixture(scope="module")
-def written(league, tmp_path_factory) -> tuple[Path, Findings]:
+def written(league, tmp_path_factory) -> tuple[Path, LeagueMetrics]:
     """A whole report without matches, and what it found."""
     folder = tmp_path_factory.mktemp("report")
     card = {"steps": 3000, "seed": 4, "note": "<script>alert(1)</script>", "config": {"env": {"tables": 4}}}
     return folder, write_report(folder, league, None, card, EFFORT, seed=1)
 
 
-def shown(found: Findings) -> str:
+def shown(found: LeagueMetrics) -> str:
     """The text of the page for these findings."""
     names = ("payoff.png", "rating.png", "precision.png", "matches.png", "best_response.png", "match.gif")
     return text_of(page(found, dict.fromkeys(names, b"a picture"), {}, EFFORT, 1))
@@ -79,12 +86,12 @@ def test_report_writes_its_files_whole(written):
     for name in ("payoff", "rating", "precision"):
         assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
     payoff, ratings = pd.read_csv(folder / "payoff.csv"), pd.read_csv(folder / "ratings.csv")
-    k = 3 + len(ANCHORS)
+    k = 3 + len(SCRIPTED_PLAYERS)
     assert len(payoff) == k * (k - 1) and (payoff[["won", "lost", "undecided"]].sum(axis=1) == 2).all()
-    assert list(ratings["member"]) == ["0", "1", "2", *ANCHORS] and set(ratings["source"]) == {"payoff"}
+    assert list(ratings["member"]) == ["0", "1", "2", *SCRIPTED_PLAYERS] and set(ratings["source"]) == {"payoff"}
     assert (ratings["low"] <= ratings["rating"]).all() and (ratings["rating"] <= ratings["high"]).all()
     facts = json.loads((folder / "league_report.json").read_text(), parse_constant=pytest.fail)
-    assert facts["seed"] == 1 and facts["effort"]["rounds"] == 2 and facts["members"] == [0, 1, 2, *ANCHORS]
+    assert facts["seed"] == 1 and facts["effort"]["rounds"] == 2 and facts["members"] == [0, 1, 2, *SCRIPTED_PLAYERS]
     assert facts["against"]["0"]["trials"] == found.against[0].trials
 
 
@@ -117,9 +124,9 @@ def test_page_prints_no_number_that_is_none(written, league):
     empty = replace(
         found,
         score=np.where(np.arange(3) == 2, found.score.sum(axis=-1, keepdims=True), 0),
-        misfit=Misfit(none, none),
-        against={0: Share.of(0, 0), found.strongest: Share.of(0, 0)},
-        saves={name: Share.of(0, 0) for name in found.saves},
+        misfit=GoodnessOfFit(none, none),
+        against={0: Proportion.of(0, 0), found.strongest: Proportion.of(0, 0)},
+        saves={name: Proportion.of(0, 0) for name in found.saves},
         std=found.std.assign(**dict.fromkeys(numbers, none)),
         maps=tuple(np.full_like(values, none) for values in found.maps),
         smoothness={name: dict.fromkeys(values, none) for name, values in found.smoothness.items()},
@@ -142,7 +149,7 @@ def test_report_is_reproducible(written, league, tmp_path):
 
 def test_matches_of_training_and_a_best_response_are_shown(written, league):
     folder, found = written
-    with_more = measure(league, matches(), EFFORT, 1, BEST_RESPONSE)
+    with_more = evaluate_league(league, matches(), EFFORT, 1, BEST_RESPONSE)
     assert (with_more.score == found.score).all() and with_more.against == found.against
     assert list(with_more.kept["member"]) == [0, 1, 2, "random", "striker"]
     assert set(with_more.ratings_table()["source"]) == {"payoff", "matches"}
@@ -165,8 +172,8 @@ def test_heat_map_has_numbers_in_its_cells_while_they_are_few():
     assert not axes.texts and labels[0] == "0" and labels[-2:] == ["99", "random"] and len(labels) < 30
 
 
-def of(value: float, half: float) -> Gain:
-    return Gain(value, value - half, value + half)
+def of(value: float, half: float) -> RatingDifference:
+    return RatingDifference(value, value - half, value + half)
 
 
 @pytest.mark.parametrize(
@@ -189,35 +196,39 @@ def of(value: float, half: float) -> Gain:
         ),
         ({"above_strongest": of(70, 9)}, "70 points above the strongest script", None),
         ({"above_strongest": of(-70, 9)}, "70 points below the strongest script", None),
-        ({"misfit": Misfit(1.1, 0.3)}, "yes, what it leaves unexplained may be chance", None),
-        ({"misfit": Misfit(4.0, 1e-9)}, "(p < .001): no, who beats whom goes round in circles", None),
-        ({"fallen": Fallen({}, 0)}, "The league has no generation after 20 to compare", None),
-        ({"fallen": Fallen({}, 7)}, "none of 7 after 20 is rated below generation 10.", "yes"),
+        ({"misfit": GoodnessOfFit(1.1, 0.3)}, "yes, what it leaves unexplained may be chance", None),
+        ({"misfit": GoodnessOfFit(4.0, 1e-9)}, "(p < .001): no, who beats whom goes round in circles", None),
+        ({"fallen": Regressions({}, 0)}, "The league has no generation after 20 to compare", None),
+        ({"fallen": Regressions({}, 7)}, "none of 7 after 20 is rated below generation 10.", "yes"),
         (
-            {"fallen": Fallen({30: of(-5, 9)}, 7)},
+            {"fallen": Regressions({30: of(-5, 9)}, 7)},
             "1 of 7 after 20 is rated below generation 10 (30), none of them by more than the 95 % interval",
             "open",
         ),
         (
-            {"fallen": Fallen({30: of(-5, 9), 40: of(-50, 9)}, 7)},
+            {"fallen": Regressions({30: of(-5, 9), 40: of(-50, 9)}, 7)},
             "2 of 7 after 20 are rated below generation 10 (30 and 40), 1 of them by more than the 95 % interval of "
             "the difference (40).",
             "no",
         ),
         (
-            {"saves": {"last": Share.of(90, 100), "defender": Share.of(60, 100)}},
+            {"saves": {"last": Proportion.of(90, 100), "defender": Proportion.of(60, 100)}},
             "the last generation defends better",
             "yes",
         ),
-        ({"saves": {"last": Share.of(50, 100), "defender": Share.of(80, 100)}}, "the script defends better", "no"),
         (
-            {"saves": {"last": Share.of(50, 100), "defender": Share.of(52, 100)}},
+            {"saves": {"last": Proportion.of(50, 100), "defender": Proportion.of(80, 100)}},
+            "the script defends better",
+            "no",
+        ),
+        (
+            {"saves": {"last": Proportion.of(50, 100), "defender": Proportion.of(52, 100)}},
             "neither clearly defends better",
             "open",
         ),
-        ({"best_response": [(9, Share.of(80, 100))]}, "the last generation can be exploited.", None),
-        ({"best_response": [(9, Share.of(20, 100))]}, "it found no way to beat the last generation.", None),
-        ({"best_response": [(9, Share.of(50, 100))]}, "it is about the last generation’s equal.", None),
+        ({"best_response": [(9, Proportion.of(80, 100))]}, "the last generation can be exploited.", None),
+        ({"best_response": [(9, Proportion.of(20, 100))]}, "it found no way to beat the last generation.", None),
+        ({"best_response": [(9, Proportion.of(50, 100))]}, "it is about the last generation’s equal.", None),
     ],
 )
 def test_sentences_follow_from_the_numbers(written, changes, says, line):
@@ -247,9 +258,9 @@ def test_whether_the_std_means_anything_follows_from_the_numbers(written, above,
 def test_the_last_is_measured_against_what_the_league_has():
     assert milestones(100) == milestones(51) == [0, 25, 50]
     assert milestones(50) == [0, 12, 25, 37] and milestones(1) == [0]
-    assert members_of_matrix(101, 10) == [0, 10, 20, 25, 30, 40, 50, 60, 70, 80, 90, 100, *ANCHORS]
-    assert members_of_matrix(30, 20) == [0, 7, 10, 14, 20, 21, 29, *ANCHORS]
-    assert members_of_matrix(3, 5) == [0, 1, 2, *ANCHORS]
+    assert members_of_matrix(101, 10) == [0, 10, 20, 25, 30, 40, 50, 60, 70, 80, 90, 100, *SCRIPTED_PLAYERS]
+    assert members_of_matrix(30, 20) == [0, 7, 10, 14, 20, 21, 29, *SCRIPTED_PLAYERS]
+    assert members_of_matrix(3, 5) == [0, 1, 2, *SCRIPTED_PLAYERS]
 
 
 def test_tensorboard_reads_the_report_and_an_animated_match(written, tmp_path):
@@ -265,7 +276,12 @@ def test_tensorboard_reads_the_report_and_an_animated_match(written, tmp_path):
     assert [event.step for event in events.Scalars("rating/generation")] == [0, 1500, 3000]
     expected = found.ratings.set_index("member").loc["striker", "rating"]
     assert events.Scalars("rating/striker")[0].value == pytest.approx(expected, rel=1e-5)
-    named = {"rating/generation", "save_rate/last", "save_rate/defender", *(f"rating/{name}" for name in ANCHORS)}
+    named = {
+        "rating/generation",
+        "save_rate/last",
+        "save_rate/defender",
+        *(f"rating/{name}" for name in SCRIPTED_PLAYERS),
+    }
     scalars = set(events.Tags()["scalars"])
     assert scalars - named <= {f"std/{s.replace(' ', '_')}" for s in found.std["situation"]} and "std/all" in scalars
 
@@ -280,7 +296,7 @@ def ship(folder: Path, league: League, **card) -> Path:
 
 
 def test_the_command_reports_a_run(monkeypatch, capsys, league, tmp_path):
-    run, out = ship(tmp_path / "run", league, config={"env": {"decision_ticks": 2}}), tmp_path / "out"
+    run, out = ship(tmp_path / "run", league, config={"env": {"frame_skip": 2}}), tmp_path / "out"
     matches().to_csv(run / "matches.csv", index=False)
     monkeypatch.setattr(sys, "argv", ["league_report", f"run={run}", f"hydra.run.dir={out}", *TINY])
     league_report.main()

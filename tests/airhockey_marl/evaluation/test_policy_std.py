@@ -7,25 +7,25 @@ import pandas as pd
 import pytest
 import torch
 
-from airhockey_marl.envs.physics import PUCK, Table, tick
+from airhockey_marl.envs.physics import PUCK, TableSpec, step_physics
 from airhockey_marl.evaluation.policy_std import (
     AWAY,
     OTHER,
     SAVE,
     SITUATIONS,
     STRIKE,
-    Play,
-    precision,
+    Trajectories,
     record,
     seconds_to_goal,
     situations,
     smoothness,
+    std_by_situation,
     std_map,
 )
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.players.players import confident, sampled
+from airhockey_marl.players.players import greedy, stochastic
 
-TABLE = Table()
+TABLE = TableSpec()
 NEAR, ASIDE, BEYOND = (-0.3, 0.2, 0.1, 0.3), (-0.6, -0.4, 1.0, 0.0), (0.5, 0.1, 0.2, 0.0)
 
 
@@ -37,16 +37,16 @@ def observed(*pucks: tuple[float, float, float, float]) -> np.ndarray:
     return seen
 
 
-def play_of(*pucks, std: float = 0.2, touched: tuple[int, ...] = (), ended: tuple[int, ...] = ()) -> Play:
+def play_of(*pucks, std: float = 0.2, touched: tuple[int, ...] = (), ended: tuple[int, ...] = ()) -> Trajectories:
     seen = observed(*pucks)
     nothing = np.zeros((len(pucks), 1, 2), dtype=np.float32)
     events = [np.isin(np.arange(len(pucks)), when)[:, None] for when in (touched, ended)]
-    return Play(seen, nothing, nothing + std, nothing, *events, 0.04, TABLE)
+    return Trajectories(seen, nothing, nothing + std, nothing, *events, 0.04, TABLE)
 
 
 def test_when_a_puck_enters_the_goal_is_what_the_physics_does():
     """Without drag, and with paddles of no size; what happens at a post is another matter."""
-    table = Table(drag=0.0, friction=0.0, paddle_radius=1e-6)
+    table = TableSpec(drag=0.0, friction=0.0, paddle_radius=1e-6)
     rng, entered, compared = np.random.default_rng(0), 0, 0
     for _ in range(400):
         puck = rng.uniform((-0.8, -0.45, -3.0, -3.0), (0.9, 0.45, -0.8, 3.0))
@@ -57,7 +57,7 @@ def test_when_a_puck_enters_the_goal_is_what_the_physics_does():
         for step in range(1, 121):
             if bodies[PUCK, 0] > table.puck_radius - table.length / 2:
                 before = bodies[PUCK].copy()
-            goal, _ = tick(bodies, bodies[:PUCK, :2].copy(), table)
+            goal, _ = step_physics(bodies, bodies[:PUCK, :2].copy(), table)
             if goal or bodies[PUCK, 2] > 0:  # in, or back from the end
                 happened = step * table.tick if goal else np.inf
                 break
@@ -110,8 +110,8 @@ def test_precision_is_the_mean_std_of_each_situation():
     far = pucks[..., 0] > 0
     std = np.where(far, 0.3, 0.2)[..., None] + 0.01 * rng.normal(size=(500, 20, 1)) + [-0.05, 0.05]
     nothing, never = np.zeros((500, 20, 2)), np.zeros((500, 20), dtype=bool)
-    play = Play(seen, nothing, std, nothing, never, never, 0.04, TABLE)
-    table = precision(play).set_index("situation")
+    play = Trajectories(seen, nothing, std, nothing, never, never, 0.04, TABLE)
+    table = std_by_situation(play).set_index("situation")
     assert table["decisions"].to_dict() == {
         "before a save": 0,
         "before a strike": 0,
@@ -128,7 +128,7 @@ def test_precision_is_the_mean_std_of_each_situation():
     assert table.loc["otherwise", "difference_low"] < -0.1 < table.loc["otherwise", "difference_high"]
     assert table.loc["before a save", ["std", "low", "difference_low", "difference_high"]].isna().all()
     assert table["share"][list(SITUATIONS)].sum() == pytest.approx(1)
-    pd.testing.assert_frame_equal(precision(play), precision(play))
+    pd.testing.assert_frame_equal(std_by_situation(play), std_by_situation(play))
 
 
 def test_tables_that_differ_widen_the_interval():
@@ -137,7 +137,9 @@ def test_tables_that_differ_widen_the_interval():
     many = {name: np.repeat(getattr(play, name), 10, axis=1) for name in ("observation", "mean", "action")}
     flags = {name: np.repeat(getattr(play, name), 10, axis=1) for name in ("touched", "ended")}
     std = np.zeros((400, 10, 2)) + np.linspace(0.1, 0.3, 10)[None, :, None]
-    row = precision(Play(std=std, decision_seconds=0.04, table=TABLE, **many, **flags)).set_index("situation")
+    row = std_by_situation(Trajectories(std=std, decision_seconds=0.04, table=TABLE, **many, **flags)).set_index(
+        "situation"
+    )
     low, high = row.loc["otherwise", ["low", "high"]]
     assert high - low == pytest.approx(2 * 1.96 * np.linspace(0.1, 0.3, 10).std() / 10**0.5, rel=0.1)
 
@@ -163,10 +165,10 @@ def test_smoothness_is_the_change_between_decisions_of_a_rally():
 
 
 @pytest.fixture(scope="module")
-def recorded() -> Play:
+def recorded() -> Trajectories:
     torch.manual_seed(0)
     policy = GaussianPolicy([8])
-    return record(policy, confident(policy), tables=30, seconds=20.0, seed=5, round_seconds=8.0)
+    return record(policy, greedy(policy), tables=30, seconds=20.0, seed=5, round_seconds=8.0)
 
 
 def test_a_recording_is_what_the_policy_saw_meant_and_did(recorded):
@@ -191,9 +193,9 @@ def test_a_recording_is_what_the_policy_saw_meant_and_did(recorded):
 def test_a_recording_follows_from_its_seed(recorded):
     torch.manual_seed(0)
     policy = GaussianPolicy([8])
-    again = record(policy, confident(policy), tables=30, seconds=20.0, seed=5, round_seconds=8.0)
+    again = record(policy, greedy(policy), tables=30, seconds=20.0, seed=5, round_seconds=8.0)
     np.testing.assert_array_equal(again.observation, recorded.observation)
     other = record(
-        policy, sampled(policy, torch.Generator().manual_seed(0)), tables=30, seconds=2.0, seed=6, round_seconds=8.0
+        policy, stochastic(policy, torch.Generator().manual_seed(0)), tables=30, seconds=2.0, seed=6, round_seconds=8.0
     )
     assert not np.array_equal(other.observation, recorded.observation[:50])

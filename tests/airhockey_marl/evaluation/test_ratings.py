@@ -9,12 +9,12 @@ from airhockey_marl.evaluation import ratings
 from airhockey_marl.evaluation.ratings import (
     ELO,
     MATCHES,
-    Share,
-    gains,
-    misfit,
+    Proportion,
+    bradley_terry,
+    goodness_of_fit,
     payoff,
     play_pairs,
-    rate,
+    rating_differences,
     ratings_of_matches,
     read_matches,
     win_rates,
@@ -60,13 +60,13 @@ def test_ratings_are_the_maximum_of_the_likelihood(met, prior_rounds):
     rng = np.random.default_rng(0)
     wins = tournament(200 * rng.normal(size=9), 60, rng, met)
     expected = maximum_likelihood(wins, prior_rounds)
-    np.testing.assert_allclose(rate(wins, 0, prior_rounds).rating, expected, atol=0.01)
+    np.testing.assert_allclose(bradley_terry(wins, 0, prior_rounds).rating, expected, atol=0.01)
 
 
 def test_the_prior_is_little_beside_hundreds_of_rounds():
     rng = np.random.default_rng(1)
     wins = tournament(200 * rng.normal(size=12), 100, rng)
-    free, held = rate(wins, 0, prior_rounds=0.0), rate(wins, 0)
+    free, held = bradley_terry(wins, 0, prior_rounds=0.0), bradley_terry(wins, 0)
     assert np.abs(free.rating - held.rating).max() < 0.03 * (held.high - held.low).max()
 
 
@@ -74,7 +74,7 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say():
     rng, hits = np.random.default_rng(2), []
     elo = np.array([0.0, 60.0, -150.0, 250.0, 100.0, 20.0])
     for _ in range(200):
-        rated = rate(tournament(elo, 30, rng), 0)
+        rated = bradley_terry(tournament(elo, 30, rng), 0)
         hits.append((rated.low <= elo) & (elo <= rated.high))
     assert 0.92 < np.array(hits)[:, 1:].mean() < 0.975
     assert np.array(hits)[:, 0].all()  # the reference is where it is by definition
@@ -84,7 +84,7 @@ def test_intervals_hold_for_those_who_hardly_met():
     rng, hits = np.random.default_rng(3), []
     elo = np.array([0.0, 100.0, 200.0, 100.0, 0.0, -100.0, -50.0])
     for _ in range(200):
-        rated = rate(tournament(elo, 60, rng, ring(7)), 2)
+        rated = bradley_terry(tournament(elo, 60, rng, ring(7)), 2)
         hits.append((rated.low <= elo - elo[2]) & (elo - elo[2] <= rated.high))
     assert 0.90 < np.array(hits)[:, [0, 1, 3, 4, 5, 6]].mean() < 0.99
 
@@ -92,7 +92,7 @@ def test_intervals_hold_for_those_who_hardly_met():
 def test_who_won_or_lost_everything_has_a_finite_rating_and_a_wide_interval():
     wins = tournament(np.zeros(5), 50, np.random.default_rng(4))
     wins[3], wins[:, 3] = np.array([50, 50, 50, 0, 50]), 0
-    best, worst = rate(wins, 0), rate(wins.T, 0)
+    best, worst = bradley_terry(wins, 0), bradley_terry(wins.T, 0)
     for rated in (best, worst):
         assert np.isfinite(rated).all() and rated.low[3] < rated.rating[3] < rated.high[3]
         assert rated.high[3] - rated.low[3] > 3 * (rated.high[1] - rated.low[1])
@@ -103,10 +103,10 @@ def test_who_won_or_lost_everything_has_a_finite_rating_and_a_wide_interval():
 def test_another_reference_only_moves_the_zero():
     rng = np.random.default_rng(5)
     wins = tournament(100 * rng.normal(size=6), 40, rng)
-    first, third = rate(wins, 0), rate(wins, 2)
+    first, third = bradley_terry(wins, 0), bradley_terry(wins, 2)
     np.testing.assert_allclose(first.rating - first.rating[2], third.rating, atol=1e-9)
     assert third[0][2] == third[1][2] == third[2][2] == 0
-    there, back = gains("abcdef", wins, "c")["a"], gains("abcdef", wins, "a")["c"]
+    there, back = rating_differences("abcdef", wins, "c")["a"], rating_differences("abcdef", wins, "a")["c"]
     np.testing.assert_allclose(there, (-back.value, -back.high, -back.low), atol=1e-6)
 
 
@@ -114,36 +114,36 @@ def test_who_cannot_be_compared_has_an_interval_that_says_so():
     wins = np.zeros((4, 4))
     wins[0, 1] = wins[1, 0] = 500
     wins[2, 3] = 5
-    rated = rate(wins, 0)
+    rated = bradley_terry(wins, 0)
     assert np.isfinite(rated).all()
     assert (rated.high - rated.low)[1] < 100 and ((rated.high - rated.low)[2:] > 1000).all()
     with pytest.raises(ValueError, match=r"members \[2, 3\] have no decided round that leads to member 0"):
-        rate(wins, 0, prior_rounds=0.0)
+        bradley_terry(wins, 0, prior_rounds=0.0)
     with pytest.raises(ValueError, match="must be counts"):
-        rate(-wins, 0)
+        bradley_terry(-wins, 0)
     with pytest.raises(ValueError, match=r"wins: shape \(3, 4\), must be \(k, k\)"):
-        rate(wins[:3], 0)
+        bradley_terry(wins[:3], 0)
 
 
 def test_misfit_tells_circles_from_chance():
     rng, ratios, surprises = np.random.default_rng(6), [], 0
     for _ in range(100):
         wins = tournament(150 * rng.normal(size=8), 50, rng)
-        found = misfit(wins, rate(wins, 0).rating)
+        found = goodness_of_fit(wins, bradley_terry(wins, 0).rating)
         ratios.append(found.ratio)
         surprises += found.p < 0.05
     assert 0.9 < np.mean(ratios) < 1.1 and surprises <= 12
     stone_scissors_paper = 40 * np.roll(np.eye(3), 1, axis=1) + 10 * np.roll(np.eye(3), -1, axis=1)
-    found = misfit(stone_scissors_paper, rate(stone_scissors_paper, 0).rating)
+    found = goodness_of_fit(stone_scissors_paper, bradley_terry(stone_scissors_paper, 0).rating)
     assert found.ratio > 20 and found.p < 1e-6
-    assert np.isnan(misfit(np.ones((2, 2)), np.zeros(2))).all()
+    assert np.isnan(goodness_of_fit(np.ones((2, 2)), np.zeros(2))).all()
 
 
 def test_shares_have_wilsons_intervals_and_newcombes_difference():
     """Newcombe 1998, the example 56/70 against 48/80: .2 [.0524, .3339]."""
-    assert Share.of(56, 70)[:3] == pytest.approx((0.8, 0.6921, 0.8771), abs=5e-4)
-    assert Share.of(56, 70).minus(Share.of(48, 80)) == pytest.approx((0.2, 0.0524, 0.3339), abs=5e-5)
-    assert Share.of(0, 0)[1:] == (0.0, 1.0, 0) and np.isnan(Share.of(0, 0).value)
+    assert Proportion.of(56, 70)[:3] == pytest.approx((0.8, 0.6921, 0.8771), abs=5e-4)
+    assert Proportion.of(56, 70).minus(Proportion.of(48, 80)) == pytest.approx((0.2, 0.0524, 0.3339), abs=5e-5)
+    assert Proportion.of(0, 0)[1:] == (0.0, 1.0, 0) and np.isnan(Proportion.of(0, 0).value)
 
 
 MEMBERS = [0, 2, 1, "random", "striker"]

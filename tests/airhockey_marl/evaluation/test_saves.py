@@ -5,13 +5,13 @@ import math
 import numpy as np
 import torch
 
-from airhockey_marl.envs.physics import Table
-from airhockey_marl.envs.world import Tables
-from airhockey_marl.evaluation.saves import NO_PADDLE, Saves, defence, record, would_score
-from airhockey_marl.players.players import sampled
-from airhockey_marl.players.scripted import ANCHORS
+from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.envs.world import World
+from airhockey_marl.evaluation.saves import NO_PADDLE, Saves, count_saves, record, would_score
+from airhockey_marl.players.players import stochastic
+from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 
-TABLE = Table()
+TABLE = TableSpec()
 EMPTY = TABLE._replace(paddle_radius=NO_PADDLE)
 HOME, ASIDE = (-0.6, 0.0, 0.0, 0.0), (-0.2, 0.45, 0.0, 0.0)  # a paddle before the goal, and out of the way
 ATTACKER = (0.3, 0.0, 0.0, 0.0)
@@ -23,7 +23,7 @@ def bodies(puck, player=ASIDE, attacker=ATTACKER):
 
 def played(puck, player=ASIDE, attacker=ATTACKER, seconds=2.0):
     """(blocked, conceded) at one table whose paddles stand still, until a goal or for so long."""
-    tables = Tables(1)
+    tables = World(1)
     tables.new_rounds()
     tables.bodies[0] = bodies(puck, player, attacker)
     shot, counts = np.array([False]), np.zeros(2, dtype=np.int64)
@@ -65,7 +65,7 @@ def test_paddles_that_are_taken_away_are_met_nowhere():
     side, end = TABLE.width / 2 - TABLE.puck_radius, TABLE.length / 2 - TABLE.puck_radius
     for sign in (-1, 1):
         corner = bodies((-end + 0.05, sign * (side - 0.05), -2.0, sign * 2.0))
-        tables = Tables(1)
+        tables = World(1)
         tables.new_rounds()
         tables.bodies[0] = corner
         tables.step(np.full((1, 2, 2), np.nan), 5)
@@ -118,10 +118,10 @@ def stay(observation):
 
 def test_defence_counts_shots_on_the_left_goal_and_can_be_repeated():
     def striker(seed):
-        return sampled(ANCHORS["striker"], torch.Generator().manual_seed(seed))
+        return stochastic(SCRIPTED_PLAYERS["striker"], torch.Generator().manual_seed(seed))
 
-    saves = defence(stay, striker(0), 20, 3, round_seconds=10.0)
+    saves = count_saves(stay, striker(0), 20, 3, round_seconds=10.0)
     assert saves.conceded > 5
-    assert defence(stay, striker(0), 20, 3, round_seconds=10.0) == saves
-    assert defence(stay, striker(0), 20, 4, round_seconds=10.0) != saves
-    assert defence(striker(0), stay, 20, 3, round_seconds=10.0).conceded == 0
+    assert count_saves(stay, striker(0), 20, 3, round_seconds=10.0) == saves
+    assert count_saves(stay, striker(0), 20, 4, round_seconds=10.0) != saves
+    assert count_saves(striker(0), stay, 20, 3, round_seconds=10.0).conceded == 0

@@ -57,7 +57,7 @@ def test_a_target_behind_a_reference_or_in_an_argument_is_refused(trap):
         "guidance.forces.conditions.torch.hub.load",  # what a module of ours has imported
         "guidance.forces.conditions.Tensor",
         "guidance.forces.conditions.combine",
-        "guidance.haptics.servo.Servo",  # ours, but starts what it is told to
+        "guidance.haptics.servo.ServoProcess",  # ours, but starts what it is told to
         "airhockey_marl.experiment.files.write_text",
         "guidance.forces.conditions",
         "Spring",

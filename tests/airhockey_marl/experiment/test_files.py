@@ -5,13 +5,13 @@ import pickle
 import pytest
 import torch
 
-from airhockey_marl.experiment.files import load_tensors, replacing, save_tensors, write_text
+from airhockey_marl.experiment.files import atomic_write, load_tensors, save_tensors, write_text
 
 
 def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     path = tmp_path / "trials.csv"
     write_text(path, "old")
-    with pytest.raises(RuntimeError, match="disk"), replacing(path) as temporary:
+    with pytest.raises(RuntimeError, match="disk"), atomic_write(path) as temporary:
         temporary.write_text("half of the n")
         raise RuntimeError("disk")
     assert path.read_text() == "old"

@@ -5,7 +5,7 @@ import pytest
 from numba import njit
 
 from airhockey_marl.experiment import parallel
-from airhockey_marl.experiment.parallel import over_rows
+from airhockey_marl.experiment.parallel import parallel_for
 
 
 @njit(nogil=True)
@@ -20,7 +20,7 @@ def test_every_row_is_done_once(monkeypatch, threads, n):
     monkeypatch.setattr(parallel.config, "NUMBA_NUM_THREADS", threads)
     counted = np.zeros(200, dtype=np.int64)
     rows = np.arange(n) * 2
-    over_rows(count, rows, counted, least=5)
+    parallel_for(count, rows, counted, least=5)
     assert (counted[rows] == 1).all() and counted.sum() == n
 
 
@@ -32,4 +32,4 @@ def test_an_error_in_a_part_is_raised(monkeypatch):
             raise ValueError("row 99")
 
     with pytest.raises(ValueError, match="row 99"):
-        over_rows(fails, np.arange(100), least=10)
+        parallel_for(fails, np.arange(100), least=10)

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 from airhockey_marl.experiment.command import InputError
-from airhockey_marl.experiment.files import Unwritten, load_tensors, save_tensors, write_text
-from airhockey_marl.experiment.run_folder import locked
-from airhockey_marl.experiment.tensorboard import open_board
+from airhockey_marl.experiment.files import WriteError, load_tensors, save_tensors, write_text
+from airhockey_marl.experiment.run_folder import lock_run_folder
+from airhockey_marl.experiment.tensorboard import open_writer
 from tests import ROOT
 from tests.airhockey_marl.commands.test_cli import scalars
 
@@ -38,12 +38,12 @@ def test_a_folder_that_is_in_use_is_refused_and_given_free_with_its_process(tmp_
     try:
         assert holder.stdout.readline() == b"held\n"
         refused = rf"run = {tmp_path} is in use by process {holder.pid}; one at a time can have it"
-        with pytest.raises(InputError, match=refused), locked(tmp_path, "run"):
+        with pytest.raises(InputError, match=refused), lock_run_folder(tmp_path, "run"):
             pass
     finally:
         holder.send_signal(signal.SIGKILL)
         holder.communicate()
-    with locked(tmp_path, "run"):
+    with lock_run_folder(tmp_path, "run"):
         assert (tmp_path / ".lock").read_text() == f"{os.getpid()}\n"
 
 
@@ -51,7 +51,7 @@ def test_what_a_killed_process_left_half_written_is_removed_and_nothing_else(tmp
     half, kept = tmp_path / "deep" / ".league.safetensors.ab12_z9x.safetensors", tmp_path / ".hidden.yaml"
     write_text(half, "half of the n")
     write_text(kept, "mine")
-    with locked(tmp_path, "run"):
+    with lock_run_folder(tmp_path, "run"):
         assert not half.exists() and kept.exists()
 
 
@@ -86,7 +86,7 @@ def state_of(run: Path) -> dict[str, bytes]:
 def test_a_training_that_is_gone_on_with_twice_is_refused_while_it_runs(trained, tmp_path):
     run = copy_of(trained, tmp_path / "run")
     before = state_of(run)
-    with locked(run, "run"):
+    with lock_run_folder(run, "run"):
         done = command("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log")
     assert done.returncode == 2
     one_line(done, f"run = {run} is in use by process {os.getpid()}; one at a time can have it")
@@ -151,9 +151,9 @@ def test_a_folder_that_may_not_be_written_to_is_named(tmp_path):
         done = command(*TRAIN, f"hydra.run.dir={disk}/run")
         assert done.returncode in (1, 2)
         one_line(done, "Read-only file system")
-        with pytest.raises(Unwritten, match=rf"{disk}/x cannot be written: Read-only file system"):
+        with pytest.raises(WriteError, match=rf"{disk}/x cannot be written: Read-only file system"):
             write_text(disk / "x", "x")
-        with pytest.raises(Unwritten, match=rf"{disk}/x cannot be written: "):
+        with pytest.raises(WriteError, match=rf"{disk}/x cannot be written: "):
             save_tensors(disk / "x", {})
     finally:
         subprocess.run(["umount", str(disk)], check=True)
@@ -162,14 +162,14 @@ def test_a_folder_that_may_not_be_written_to_is_named(tmp_path):
 @pytest.mark.parametrize("jump", [86_400, -86_400, 0], ids=["set back", "set on", "same second"])
 def test_a_clock_that_jumps_between_two_halves_of_a_run_leaves_every_scalar_once(tmp_path, jump):
     """TensorBoard goes by the seconds in the names of its files; in `jump` they are ahead of the second half."""
-    board = open_board(tmp_path / "tensorboard", 1)
+    board = open_writer(tmp_path / "tensorboard", 1)
     for step in (1, 2, 3):
         board.add_scalar("x", step, step)
     board.close()
     (file,) = (tmp_path / "tensorboard").iterdir()
     stamp = int(time.time()) + jump
     file.rename(file.with_name(file.name.replace(file.name.split(".")[3], f"{stamp:010d}")))
-    again = open_board(tmp_path / "tensorboard", 3)  # step 3 came after the last checkpoint
+    again = open_writer(tmp_path / "tensorboard", 3)  # step 3 came after the last checkpoint
     for step in (3, 4):
         again.add_scalar("x", 10 * step, step)
     again.close()

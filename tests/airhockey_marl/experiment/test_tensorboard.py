@@ -22,9 +22,9 @@ from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from torch.utils.tensorboard import SummaryWriter
 
 from airhockey_marl.experiment.files import load_tensors
-from airhockey_marl.experiment.tensorboard import LAYOUT, SCORES, VOCABULARY, add_picture, board_of, open_board
-from airhockey_marl.players.scripted import ANCHORS
-from guidance.forces.conditions import Guided
+from airhockey_marl.experiment.tensorboard import LAYOUT, SCORES, VOCABULARY, add_picture, open_writer, tensorboard_dir
+from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
+from guidance.forces.conditions import GuidanceOutput
 from guidance.statistics.histograms import BINS, Histograms
 from guidance.statistics.tests import CONDITIONS, METRICS
 from tests.airhockey_marl.commands.test_cli import smoke
@@ -48,7 +48,7 @@ def runs(tmp_path_factory):
 
 
 def events_of(folder, part: str = ".") -> EventAccumulator:
-    return EventAccumulator(str(board_of(folder) / part), size_guidance=SIZES).Reload()
+    return EventAccumulator(str(tensorboard_dir(folder) / part), size_guidance=SIZES).Reload()
 
 
 def test_every_tag_is_in_the_vocabulary(runs):
@@ -103,7 +103,7 @@ def test_settings_and_scores_lie_where_the_hparams_page_finds_them(runs, name):
     card = json.loads((runs / name / "card.json").read_text())
     if name == "train":
         said = {
-            f"{'against' if member in ANCHORS else 'generation'}_{member}": share
+            f"{'against' if member in SCRIPTED_PLAYERS else 'generation'}_{member}": share
             for member, share in card["win_rate_of_last_against"].items()
         }
         assert {events[0].step for events in scores.values()} == {2000}
@@ -159,7 +159,7 @@ def test_what_a_killed_run_has_drawn_is_struck_out(tmp_path):
         return content.getvalue()
 
     for purge_step, shades in ((1, (10, 20, 30)), (2, (25, 35))):  # the second life goes on after step 1
-        with open_board(tmp_path, purge_step) as board:
+        with open_writer(tmp_path, purge_step) as board:
             for step, shade in enumerate(shades, start=purge_step):
                 add_picture(board, "league/film", png(shade), step)
     shown = EventAccumulator(str(tmp_path), size_guidance=SIZES).Reload().Images("league/film")
@@ -181,7 +181,7 @@ def test_a_report_shows_what_its_files_say(runs):
     ratings = ratings[ratings["source"] == "payoff"].set_index("member")["rating"].to_dict()
     generations = [event.value for event in events.Scalars("rating/generation")]
     assert generations == pytest.approx([ratings.pop(str(generation)) for generation in range(3)], abs=0.01)
-    assert set(ratings) == set(ANCHORS)
+    assert set(ratings) == set(SCRIPTED_PLAYERS)
     for member, rating in ratings.items():
         assert [e.value for e in events.Scalars(f"rating/{member}")] == pytest.approx([rating], abs=0.01)
     for name in ("payoff.png", "rating.png", "precision.png", "match.gif"):
@@ -232,7 +232,7 @@ def test_histograms_count_every_answer_once(tmp_path):
     counts = Histograms([Named("one"), Named("other")], 2, largest_force=3.0)
     nan = float("nan")
     force = torch.tensor([[0.0, 0.0], [3.0, 0.0], [0.0, -1.5]], dtype=torch.float64)
-    counts.add(Guided(force, w_sim=torch.tensor([nan, nan, 0.25], dtype=torch.float64)), np.array([0, 1, 3]))
+    counts.add(GuidanceOutput(force, w_sim=torch.tensor([nan, nan, 0.25], dtype=torch.float64)), np.array([0, 1, 3]))
     assert counts.counts["force"].sum(axis=1).tolist() == [2, 1]
     assert counts.counts["force"][0].nonzero()[0].tolist() == [0, BINS - 1]
     assert counts.sums["force"].tolist() == [[3.0, 9.0], [1.5, 2.25]]
@@ -249,7 +249,7 @@ def test_a_spring_that_is_clipped_to_nothing_has_a_histogram_too(tmp_path):
         name = "one"
 
     counts = Histograms([Named()], 2, largest_force=0.0)
-    counts.add(Guided(torch.zeros(2, 2, dtype=torch.float64)), np.array([0, 1]))
+    counts.add(GuidanceOutput(torch.zeros(2, 2, dtype=torch.float64)), np.array([0, 1]))
     with SummaryWriter(str(tmp_path)) as writer:
         counts.log(writer)
     value = EventAccumulator(str(tmp_path)).Reload().Histograms("force/one")[0].histogram_value

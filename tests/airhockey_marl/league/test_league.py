@@ -3,12 +3,12 @@
 import pytest
 import torch
 
-from airhockey_marl.algorithms.trpo import TRPO
+from airhockey_marl.algorithms.trpo import TRPOConfig
 from airhockey_marl.evaluation.matches import play_match
 from airhockey_marl.league.league import League, weights_hash
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.players.players import confident, sampled
-from airhockey_marl.players.scripted import ANCHORS
+from airhockey_marl.players.players import greedy, stochastic
+from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 from tests.airhockey_marl.algorithms.test_trpo import SETTINGS, bandit
 
 
@@ -22,7 +22,7 @@ def league_of(generations: int) -> League:
 
 def test_training_never_moves_a_generation():
     policy = GaussianPolicy([8])
-    learner, league = TRPO(**SETTINGS).learner(policy, 0.9), League(GaussianPolicy([8]))
+    learner, league = TRPOConfig(**SETTINGS).learner(policy, 0.9), League(GaussianPolicy([8]))
     league.add(policy)
     for _ in range(3):
         learner.update(bandit(policy, torch.Generator().manual_seed(0)))
@@ -44,7 +44,7 @@ def test_a_lineup_answers_table_by_table_like_the_members_it_has(members):
     assert mean.shape == std.shape == (20, 1, 2)
     for table in range(20):
         member = members[table // 5]
-        player = ANCHORS[member] if isinstance(member, str) else league.player(member)
+        player = SCRIPTED_PLAYERS[member] if isinstance(member, str) else league.player(member)
         expected = player(observation[table])
         assert torch.allclose(mean[table], expected[0], atol=1e-6)
         assert torch.allclose(std[table], expected[1], atol=1e-6)
@@ -89,8 +89,8 @@ def test_matches_are_fair_and_follow_from_the_seed():
 
     def play(seed: int):
         generator = torch.Generator().manual_seed(seed)
-        return play_match(sampled(policy, generator), sampled(policy, generator), 300, seed, round_seconds=10)
+        return play_match(stochastic(policy, generator), stochastic(policy, generator), 300, seed, round_seconds=10)
 
     assert play(1) == play(1)
     assert abs(play(1).win_rate - 0.5) < 0.15
-    assert sum(play_match(confident(policy), confident(policy), 10, 0, round_seconds=0.1)) == 10
+    assert sum(play_match(greedy(policy), greedy(policy), 10, 0, round_seconds=0.1)) == 10

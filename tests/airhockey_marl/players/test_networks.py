@@ -3,7 +3,12 @@
 import pytest
 import torch
 
-from airhockey_marl.players.networks import OPTIMAL_ACTION_HIDDEN, USER_PREDICTION_HIDDEN, GaussianPolicy, Inputs
+from airhockey_marl.players.networks import (
+    OPTIMAL_ACTION_HIDDEN,
+    USER_PREDICTION_HIDDEN,
+    GaussianPolicy,
+    ObservationScaling,
+)
 
 
 @pytest.mark.parametrize(("hidden", "layers"), [(OPTIMAL_ACTION_HIDDEN, 2), (USER_PREDICTION_HIDDEN, 4)])
@@ -30,7 +35,7 @@ def test_many_models_at_once_are_each_model_by_itself():
         for name in dict(models[0].named_parameters())
     }
     observation = torch.randn(3, 5, 12)
-    mean, std = models[0].forward_each(weights, observation)
+    mean, std = models[0].forward_stacked(weights, observation)
     for k, model in enumerate(models):
         expected = model(observation[k])
         assert torch.allclose(mean[k], expected[0], atol=1e-6) and torch.allclose(std[k], expected[1], atol=1e-6)
@@ -44,8 +49,8 @@ def test_no_layers_is_refused():
 @pytest.mark.parametrize("inputs", ["table", "paddle"])
 def test_what_a_model_sees_determines_the_observation(inputs):
     observation = torch.randn(50, 12)
-    seen = Inputs(inputs)(observation)
-    matrix = Inputs(inputs)(torch.eye(12))
+    seen = ObservationScaling(inputs)(observation)
+    matrix = ObservationScaling(inputs)(torch.eye(12))
     assert torch.allclose(seen, observation @ matrix, atol=1e-5) and torch.linalg.matrix_rank(matrix) == 12
     assert GaussianPolicy.from_facts(GaussianPolicy([8], inputs).facts).inputs.origin == inputs
 

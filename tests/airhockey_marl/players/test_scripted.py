@@ -4,19 +4,19 @@ import numpy as np
 import pytest
 import torch
 
-from airhockey_marl.envs.physics import LEFT, PUCK, Table, X
-from airhockey_marl.envs.world import Tables
+from airhockey_marl.envs.physics import LEFT, PUCK, TableSpec, X
+from airhockey_marl.envs.world import World
 from airhockey_marl.evaluation.matches import play_match
-from airhockey_marl.evaluation.saves import defence
-from airhockey_marl.players.players import sampled
-from airhockey_marl.players.scripted import ANCHORS
+from airhockey_marl.evaluation.saves import count_saves
+from airhockey_marl.players.players import stochastic
+from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 
-TABLE = Table()
+TABLE = TableSpec()
 SCRIPTS = ("defender", "striker")
 
 
 def player(name, seed=0):
-    return sampled(ANCHORS[name], torch.Generator().manual_seed(seed))
+    return stochastic(SCRIPTED_PLAYERS[name], torch.Generator().manual_seed(seed))
 
 
 def states(n, seed=0):
@@ -33,7 +33,7 @@ def states(n, seed=0):
 def sent_across(tables, name, seconds=2.0):
     """Whether the left player brings the puck of the one table into the other half, the right one standing still."""
     for _ in range(round(seconds / (2 * TABLE.tick))):
-        action, _ = ANCHORS[name](torch.from_numpy(tables.observe(LEFT, np.empty((1, 12), dtype=np.float32))))
+        action, _ = SCRIPTED_PLAYERS[name](torch.from_numpy(tables.observe(LEFT, np.empty((1, 12), dtype=np.float32))))
         tables.step(np.stack([action.numpy(), np.zeros((1, 2))], axis=1), 2)
         if tables.goals[0] or tables.bodies[0, PUCK, X] > 0:
             break
@@ -44,11 +44,11 @@ def sent_across(tables, name, seconds=2.0):
 def test_left_and_right_are_alike(name):
     seen = states(5000)
     mirrored = seen * torch.tensor([1.0, -1.0, 1.0, -1.0] * 3)
-    action, _ = ANCHORS[name](seen)
-    assert torch.equal(ANCHORS[name](mirrored)[0], action * torch.tensor([1.0, -1.0]))
+    action, _ = SCRIPTED_PLAYERS[name](seen)
+    assert torch.equal(SCRIPTED_PLAYERS[name](mirrored)[0], action * torch.tensor([1.0, -1.0]))
 
 
-@pytest.mark.parametrize("name", ANCHORS)
+@pytest.mark.parametrize("name", SCRIPTED_PLAYERS)
 def test_actions_are_in_range_whatever_is_seen(name):
     strange = torch.cat(
         [
@@ -61,21 +61,21 @@ def test_actions_are_in_range_whatever_is_seen(name):
             states(200, 6)[:, [0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3]],  # paddle and puck in one place
         ]
     )
-    mean, std = ANCHORS[name](strange)
+    mean, std = SCRIPTED_PLAYERS[name](strange)
     assert mean.isfinite().all() and (mean.abs() <= 1).all()
     assert (std > 0).all()
 
 
-@pytest.mark.parametrize("name", ANCHORS)
+@pytest.mark.parametrize("name", SCRIPTED_PLAYERS)
 def test_answers_like_a_policy(name):
     seen = states(12).reshape(3, 4, 12)
-    mean, std = ANCHORS[name](seen)
+    mean, std = SCRIPTED_PLAYERS[name](seen)
     assert mean.shape == std.shape == (3, 4, 2) and mean.dtype == std.dtype == torch.float32
-    assert torch.equal(mean[1, 2], ANCHORS[name](seen[1, 2])[0])
+    assert torch.equal(mean[1, 2], SCRIPTED_PLAYERS[name](seen[1, 2])[0])
 
 
 def test_the_defender_goes_where_the_puck_comes_over_a_wall():
-    tables = Tables(1)
+    tables = World(1)
     tables.new_rounds()
     tables.bodies[0, PUCK] = 0.5, 0.2, -2.0, 1.6
     decide = player("defender")
@@ -90,7 +90,7 @@ def test_the_defender_goes_where_the_puck_comes_over_a_wall():
 @pytest.mark.parametrize("y", [-0.4, 0.0, 0.3])
 @pytest.mark.parametrize(("name", "x"), [("defender", -0.25), ("defender", -0.6), ("striker", -0.4), ("striker", -0.6)])
 def test_a_puck_at_rest_is_sent_into_the_other_half(name, x, y):
-    tables = Tables(1)
+    tables = World(1)
     tables.new_rounds()
     tables.bodies[0, PUCK] = x, y, 0.0, 0.0
     assert sent_across(tables, name)
@@ -99,7 +99,7 @@ def test_a_puck_at_rest_is_sent_into_the_other_half(name, x, y):
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_puck_behind_the_paddle_is_gone_around(name):
     """Straight to its run-up the paddle would knock the puck into its own goal."""
-    tables = Tables(1)
+    tables = World(1)
     tables.new_rounds()
     tables.bodies[0, LEFT] = -0.3, 0.0, 0.0, 0.0
     tables.bodies[0, PUCK] = -0.6, 0.02, 0.0, 0.0
@@ -113,5 +113,5 @@ def test_the_striker_beats_the_random_player_and_the_defender():
 
 
 def test_the_defender_saves_more_than_the_random_player():
-    rates = [defence(player(name), player("striker", 1), 20, 0).rate for name in ("defender", "random")]
+    rates = [count_saves(player(name), player("striker", 1), 20, 0).rate for name in ("defender", "random")]
     assert rates[0] > rates[1] + 0.2

@@ -6,10 +6,18 @@ import torch
 
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.self_play.collectors import MULTISYNC, RAY, SINGLE, Collecting, Crew, Sampling, Share
+from airhockey_marl.self_play.collectors import (
+    MULTISYNC,
+    RAY,
+    SINGLE,
+    CollectorConfig,
+    GaussianSampling,
+    RolloutWorkers,
+    TableSlice,
+)
 from tests.airhockey_marl.league.test_league import league_of
 
-TABLES = {"backend": "batched", "tables": 30, "round_seconds": 0.4, "decision_ticks": 2}
+TABLES = {"backend": "batched", "tables": 30, "round_seconds": 0.4, "frame_skip": 2}
 MEMBERS = ["defender", 0, "striker", 1, 1]
 
 
@@ -19,11 +27,11 @@ def policies() -> tuple[GaussianPolicy, League]:
     return GaussianPolicy([8]), league_of(2)
 
 
-def played(how: Collecting, policies: tuple[GaussianPolicy, League]) -> tuple[list, np.ndarray, torch.Tensor]:
+def played(how: CollectorConfig, policies: tuple[GaussianPolicy, League]) -> tuple[list, np.ndarray, torch.Tensor]:
     """Two generations of two batches, with other weights in the second; and the random numbers they leave behind."""
     torch.manual_seed(1)
     policy, league = policies
-    crew, batches = Crew(how, TABLES, 7, policy, 300), []
+    crew, batches = RolloutWorkers(how, TABLES, 7, policy, 300), []
     for generation in range(2):
         weights = {name: tensor * (1 - 0.5 * generation) for name, tensor in policy.state_dict().items()}
         crew.begin(league.lineup(MEMBERS))
@@ -35,7 +43,7 @@ def played(how: Collecting, policies: tuple[GaussianPolicy, League]) -> tuple[li
 
 @pytest.fixture(scope="module")
 def alone(policies):
-    return played(Collecting(), policies)
+    return played(CollectorConfig(), policies)
 
 
 def assert_same_play(found, wanted) -> None:
@@ -52,16 +60,16 @@ def assert_same_play(found, wanted) -> None:
 
 
 def test_several_processes_collect_what_one_collects(policies, alone):
-    assert_same_play(played(Collecting(MULTISYNC, 3), policies), alone)
+    assert_same_play(played(CollectorConfig(MULTISYNC, 3), policies), alone)
 
 
 def test_a_ray_cluster_collects_what_one_process_collects(policies, alone, monkeypatch):
     ray = pytest.importorskip("ray")
     monkeypatch.setenv("RAY_ENABLE_UV_RUN_RUNTIME_ENV", "0")
     try:
-        assert_same_play(played(Collecting(RAY, 2), policies), alone)
+        assert_same_play(played(CollectorConfig(RAY, 2), policies), alone)
         with pytest.raises(ValueError, match=r"collector\.workers = 3 must be at most 2, the cores of the Ray cluster"):
-            Crew(Collecting(RAY, 3), TABLES, 0, policies[0], 300)
+            RolloutWorkers(CollectorConfig(RAY, 3), TABLES, 0, policies[0], 300)
     finally:
         ray.shutdown()
 
@@ -70,14 +78,14 @@ def test_rounds_go_on_from_the_random_numbers_that_were_noted(policies, alone):
     """What a resumed run needs: the play follows from weights, line-up, torch's random numbers and the tables'."""
     policy, league = policies
     torch.manual_seed(1)
-    first = Crew(Collecting(), TABLES, 7, policy, 300)
+    first = RolloutWorkers(CollectorConfig(), TABLES, 7, policy, 300)
     first.begin(league.lineup(MEMBERS))
     for _ in range(2):
         first.play(policy.state_dict())
     first.end()
     streams, random_state = first.streams.copy(), torch.get_rng_state()
     first.close()
-    second = Crew(Collecting(), TABLES, 999, policy, 300)
+    second = RolloutWorkers(CollectorConfig(), TABLES, 999, policy, 300)
     second.streams[:] = streams
     torch.set_rng_state(random_state)
     second.begin(league.lineup(MEMBERS))
@@ -108,9 +116,9 @@ def test_a_part_of_a_lineup_is_who_sits_at_its_tables(workers):
 def test_a_tables_noise_does_not_depend_on_who_plays_the_others():
     policy, observation = GaussianPolicy([8]), torch.randn(10, 1, 12)
     torch.manual_seed(0)
-    whole = Sampling(policy)(observation)
+    whole = GaussianSampling(policy)(observation)
     torch.manual_seed(0)
-    part = Sampling(policy, Share(4, 7, 10))(observation[4:7])
+    part = GaussianSampling(policy, TableSlice(4, 7, 10))(observation[4:7])
     assert torch.allclose(part, whole[4:7], atol=1e-6)
 
 
@@ -126,9 +134,9 @@ def test_a_tables_noise_does_not_depend_on_who_plays_the_others():
 )
 def test_collectors_that_cannot_be(arguments, message):
     with pytest.raises(ValueError, match=message):
-        Collecting(**arguments)
+        CollectorConfig(**arguments)
 
 
 def test_tables_are_divided_evenly(policies):
     with pytest.raises(ValueError, match=r"env\.tables = 30 must be a multiple of collector\.workers = 4"):
-        Crew(Collecting(MULTISYNC, 4), TABLES, 0, policies[0], 300)
+        RolloutWorkers(CollectorConfig(MULTISYNC, 4), TABLES, 0, policies[0], 300)

@@ -6,19 +6,19 @@ import torch
 from hydra import compose, initialize_config_dir
 from tensordict import TensorDict
 
-from airhockey_marl.algorithms.reward_shaping import Shaping
-from airhockey_marl.evaluation.matches import results_against
+from airhockey_marl.algorithms.reward_shaping import RewardShaping
+from airhockey_marl.evaluation.matches import play_each
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
-from airhockey_marl.league.opponent_pool import Pool
-from airhockey_marl.league.opponent_sampling import Anchors, Prioritized
+from airhockey_marl.league.opponent_pool import OpponentPool
+from airhockey_marl.league.opponent_sampling import PFSP, ScriptedOnly
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.self_play.best_response import best_response
-from airhockey_marl.self_play.collectors import Collecting, Crew
-from airhockey_marl.self_play.trainer import Practice, goals_of
+from airhockey_marl.self_play.collectors import CollectorConfig, RolloutWorkers
+from airhockey_marl.self_play.trainer import SelfPlayTrainer, count_goals
 from tests.airhockey_marl.league.test_league import league_of
 
-TABLES = {"backend": "batched", "tables": 20, "round_seconds": 30.0, "decision_ticks": 2}
+TABLES = {"backend": "batched", "tables": 20, "round_seconds": 30.0, "frame_skip": 2}
 
 
 class Onlooker:
@@ -38,9 +38,11 @@ class Onlooker:
 def test_goals_are_counted_for_each_member_of_the_lineup():
     torch.manual_seed(0)
     learner, policy = Onlooker(), GaussianPolicy([8])
-    crew = Crew(Collecting(), TABLES, 0, policy, 2000)
+    crew = RolloutWorkers(CollectorConfig(), TABLES, 0, policy, 2000)
     lineup = league_of(1).lineup(["defender", 0, "random", "striker"])
-    metrics, goals = Practice(crew, policy, Shaping(0.3, 0.6, 0.4, 0.6), 0.98).generation(learner, lineup, 10_000, 0.0)
+    metrics, goals = SelfPlayTrainer(crew, policy, RewardShaping(0.3, 0.6, 0.4, 0.6), 0.98).generation(
+        learner, lineup, 10_000, 0.0
+    )
     crew.close()
     assert metrics == {"seen": 3.0} and len(learner.views) == 5
     reward = torch.cat([view["next", "reward"].reshape(4, -1) for view in learner.views], dim=1)
@@ -52,11 +54,11 @@ def test_goals_of_a_batch_by_blocks_of_tables():
     reward = torch.zeros(6, 4, 1, 1)
     reward[0, 1], reward[1, 2], reward[4, 3], reward[5, 0] = 1, 1, -1, 1
     play = TensorDict({"next": {"left": {"reward": reward}}}, [6, 4])
-    assert goals_of(play, 3).tolist() == [[2, 0], [0, 0], [1, 1]]
+    assert count_goals(play, 3).tolist() == [[2, 0], [0, 0], [1, 1]]
 
 
 def test_a_pool_remembers_how_the_learner_fared_and_forgets_slowly():
-    pool = Pool(league_of(2), ["striker"], Prioritized("hard"), memory=0.5)
+    pool = OpponentPool(league_of(2), ["striker"], PFSP("hard"), memory=0.5)
     assert pool.standing().win_rates.tolist() == [0.5] * 3
     pool.remember([0, 0, "striker"], np.array([[3, 1], [5, 1], [0, 8]]))
     assert np.allclose(pool.standing().win_rates, [9 / 12, 0.5, 0.1])
@@ -64,16 +66,18 @@ def test_a_pool_remembers_how_the_learner_fared_and_forgets_slowly():
     assert np.allclose(pool.standing().win_rates, [5 / 7, 3 / 4, 1 / 6])
     drawn = pool.draw(200, np.random.default_rng(0)).members
     assert drawn.count("striker") > 100 > drawn.count(1)
-    assert set(Pool(league_of(2), ["striker"], Anchors(), 0.5).draw(5, np.random.default_rng(0)).members) == {"striker"}
+    assert set(
+        OpponentPool(league_of(2), ["striker"], ScriptedOnly(), 0.5).draw(5, np.random.default_rng(0)).members
+    ) == {"striker"}
 
 
 def test_matches_count_every_round_and_follow_from_the_seed():
     league = league_of(2)
     lineup = league.lineup([1, "striker", "random"])
-    results = results_against(league.player(0), lineup, 10, seed=3, decision_ticks=2)
+    results = play_each(league.player(0), lineup, 10, seed=3, frame_skip=2)
     assert list(results) == [1, "striker", "random"]
     assert all(result.won + result.lost + result.undecided == 10 for result in results.values())
-    assert results == results_against(league.player(0), lineup, 10, seed=3, decision_ticks=2)
+    assert results == play_each(league.player(0), lineup, 10, seed=3, frame_skip=2)
     assert results["striker"].lost > results["striker"].won
 
 

@@ -13,20 +13,20 @@ import torch
 from omegaconf import OmegaConf
 from tensordict import NonTensorData, TensorDict
 
-from airhockey_marl.envs.physics import Table
-from airhockey_marl.envs.world import Tables
+from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.envs.world import World
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.files import sha256
 from airhockey_marl.league.league import League
-from airhockey_marl.players.inference import steady
+from airhockey_marl.players.inference import greedy_player
 from guidance.commands import collect
-from guidance.simulated_users import Population, load_mentors, sample_people, training_people
+from guidance.simulated_users import Population, load_advisors, sample_people, training_people
 from guidance.study import demonstrations, games
 from guidance.user_model import dataset
 
 GAMES, TICKS = 2, 300
-MENTORS = load_mentors(CONF.parent / "guidance/pretrained/mentors.safetensors")
+MENTORS = load_advisors(CONF.parent / "guidance/pretrained/mentors.safetensors")
 DATA = {"demonstrations/observation.memmap", "demonstrations/action.memmap", "demonstrations/user.memmap"}
 DATA |= {"demonstrations/game.memmap", "demonstrations/meta.json", "demonstrations.parquet", "people.csv"}
 
@@ -46,8 +46,8 @@ def population() -> Population:
 
 def play(people: np.ndarray, seed: int, ticks: int = TICKS) -> collect.Demonstrations:
     """What the command should have collected."""
-    opponent = steady(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(55))
-    return demonstrations.collect(people, opponent, GAMES, ticks, Table(), "V1", MENTORS, seed)
+    opponent = greedy_player(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(55))
+    return demonstrations.collect_demonstrations(people, opponent, GAMES, ticks, TableSpec(), "V1", MENTORS, seed)
 
 
 @pytest.fixture(scope="module")
@@ -137,16 +137,16 @@ def test_people_of_a_study_are_those_whom_evaluate_draws(tmp_path):
 def test_the_summary_counts_the_goals_that_fell(monkeypatch):
     goals = []
 
-    class Watched(Tables):
+    class Watched(World):
         def step(self, actions, ticks=1, rows=None):
             super().step(actions, ticks, rows)
             goals.append(self.goals.copy())
 
-    monkeypatch.setattr(games, "Tables", Watched)
+    monkeypatch.setattr(games, "World", Watched)
     ticks = 1500
     data = play(training_people(0, population()), 0, ticks)
     fell = np.array(goals[:-1]).reshape(ticks - 1, 9, GAMES)  # nobody sees what the last tick brought
-    found, minutes = dataset.summary(data, Table()), GAMES * ticks * 0.02 / 60
+    found, minutes = dataset.summary(data, TableSpec()), GAMES * ticks * 0.02 / 60
     assert (fell == 1).sum() > 5 and (fell == -1).sum() > 5
     assert np.allclose(found["scored_per_minute"] * minutes, (fell == 1).sum((0, 2)))
     assert np.allclose(found["conceded_per_minute"] * minutes, (fell == -1).sum((0, 2)))

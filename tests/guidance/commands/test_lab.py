@@ -17,7 +17,7 @@ import pytest
 
 from guidance.commands import evaluate, lab
 from guidance.display.window import NARROWEST, Window
-from guidance.haptics.clock import HurriedClock
+from guidance.haptics.clock import SimulatedClock
 from guidance.simulated_users.ratings import RATINGS
 from guidance.statistics import report
 from guidance.study.tick_log import read_ticks
@@ -222,7 +222,7 @@ class Reader(Window):
 @pytest.fixture
 def at_a_window(monkeypatch, tmp_path):
     """P1's session at a window, as the command holds it, but for the clock."""
-    monkeypatch.setattr(lab, "WallClock", HurriedClock)
+    monkeypatch.setattr(lab, "WallClock", SimulatedClock)
     monkeypatch.setattr(lab, "Window", Reader)
 
     def session(**habits) -> tuple[Reader, str]:

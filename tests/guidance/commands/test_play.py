@@ -13,33 +13,33 @@ import pytest
 import torch
 from hydra import compose, initialize_config_dir
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
 from guidance.commands import play, watch
 from guidance.commands.play import LEAST_DEMONSTRATION, Play
-from guidance.haptics.clock import HurriedClock
+from guidance.haptics.clock import SimulatedClock
 from guidance.haptics.devices.mouse import Mouse
 from guidance.haptics.devices.simulated import Simulated
-from guidance.haptics.safety import Limits
-from guidance.haptics.seat import Dark, Seat
-from guidance.haptics.servo import Inline
+from guidance.haptics.safety import SafetyLimits
+from guidance.haptics.seat import NullDisplay, RealTimePlayer
+from guidance.haptics.servo import InProcessServo
 from guidance.sessions.recording import games_in
-from guidance.simulated_users import Users, sample_people
+from guidance.simulated_users import SimulatedUsers, sample_people
 from guidance.study.models import Models
-from guidance.study.protocol import streams
-from guidance.study.provenance import chosen_conditions
+from guidance.study.protocol import spawn_rng_states
+from guidance.study.provenance import load_conditions
 from guidance.study.tick_log import COLUMNS, demonstration, read_ticks
 from tests import ROOT
 from tests.airhockey_marl.commands.test_cli import start
 
-TABLE = Table()
+TABLE = TableSpec()
 
 
-class Keys(Dark):
+class Keys(NullDisplay):
     """No screen, but keys: (tick, key) pairs."""
 
-    def __init__(self, clock: HurriedClock, *pressed: tuple[int, str]) -> None:
+    def __init__(self, clock: SimulatedClock, *pressed: tuple[int, str]) -> None:
         self.clock, self.pressed, self.moments = clock, list(pressed), []
 
     @property
@@ -56,17 +56,19 @@ def shipped():
     with initialize_config_dir(str(CONF), version_base=None):
         cfg = compose("evaluate")
     models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-    conditions = {str(i + 1): condition for i, condition in enumerate(chosen_conditions(cfg))}
+    conditions = {str(i + 1): condition for i, condition in enumerate(load_conditions(cfg))}
     return models, conditions, League.load(cfg.models.opponents)
 
 
 def played(shipped, folder: Path, seconds: float, *pressed: tuple[int, str], seed: int = 3) -> tuple[Play, Keys]:
     models, conditions, opponents = shipped
-    clock = HurriedClock()
-    person = Users(sample_people(1, seed), streams(seed, [0], 0, 0), TABLE)
+    clock = SimulatedClock()
+    person = SimulatedUsers(sample_people(1, seed), spawn_rng_states(seed, [0], 0, 0), TABLE)
     screen = Keys(clock, *pressed)
-    seat = Seat(Inline(Simulated(person), Limits()), screen, clock, TABLE.tick, breath=0.0, person=person)
-    game = Play(conditions, models, opponents, 55, 0.1, 60.0, seat, streams(seed, [0], 0, 1), folder)
+    seat = RealTimePlayer(
+        InProcessServo(Simulated(person), SafetyLimits()), screen, clock, TABLE.tick, breath=0.0, person=person
+    )
+    game = Play(conditions, models, opponents, 55, 0.1, 60.0, seat, spawn_rng_states(seed, [0], 0, 1), folder)
     game.run(conditions["1"], seconds)
     return game, screen
 
@@ -129,14 +131,14 @@ def test_a_guidance_with_ua_waits_for_the_players_own_game(shipped, tmp_path):
 
 def test_a_mouse_plays_where_it_points(shipped, tmp_path):
     models, conditions, opponents = shipped
-    clock, mouse = HurriedClock(), Mouse()
-    seat = Seat(Inline(mouse, Limits()), Dark(), clock, TABLE.tick, breath=0.0)
-    game = Play(conditions, models, opponents, 0, 0.1, 60.0, seat, streams(1, [0], 0, 1), tmp_path)
+    clock, mouse = SimulatedClock(), Mouse()
+    seat = RealTimePlayer(InProcessServo(mouse, SafetyLimits()), NullDisplay(), clock, TABLE.tick, breath=0.0)
+    game = Play(conditions, models, opponents, 0, 0.1, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path)
     mouse.point(0.03, -0.06)
     game.run(conditions["1"], 1.0)
     ticks = game.games["01nhg"].ticks()
     assert np.allclose(ticks[["action_x", "action_y"]].iloc[-1], [0.4, -0.8], atol=1e-6)
-    game = Play(conditions, models, opponents, 0, 0.1, 60.0, seat, streams(1, [0], 0, 1), tmp_path / "pushed")
+    game = Play(conditions, models, opponents, 0, 0.1, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path / "pushed")
     game.run(conditions["2"], 4.0)
     ticks = game.games["01oahg"].ticks()
     pulled = ticks[["action_x", "action_y"]].to_numpy() - [0.4, -0.8]

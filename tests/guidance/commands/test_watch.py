@@ -11,25 +11,43 @@ import pytest
 import torch
 from PIL import Image, ImageChops
 
-from airhockey_marl.envs.physics import Table, reach
+from airhockey_marl.envs.physics import TableSpec, action_range
 from airhockey_marl.envs.rendering import SMOOTHING, View
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.players import Player
 from guidance.commands import watch
-from guidance.display.film import ARROW, NARROWEST, PAPER, TARGETS, Scene, draw_moment, draw_play, draw_sheet, save_film
-from guidance.forces.conditions import Combined, Condition, Guided, NoGuidance, Spring, Thresholds, Toward
+from guidance.display.film import (
+    ARROW,
+    NARROWEST,
+    PAPER,
+    TARGETS,
+    FilmInfo,
+    draw_moment,
+    draw_play,
+    draw_sheet,
+    save_film,
+)
+from guidance.forces.conditions import (
+    CombinedGuidance,
+    Condition,
+    GuidanceOutput,
+    NoGuidance,
+    Spring,
+    SpringGuidance,
+    Thresholds,
+)
 from guidance.forces.equations import uncertainty_weight
-from guidance.simulated_users import Users, sample_people
+from guidance.simulated_users import SimulatedUsers, sample_people
 from guidance.simulated_users.arm import HAND_REACH
 from guidance.study.games import play_games
 from guidance.study.models import Models
-from guidance.study.protocol import Protocol, streams
+from guidance.study.protocol import Protocol, spawn_rng_states
 from guidance.study.tick_log import ACTION, STATE
 
-TABLE, SPRING = Table(), Spring(50.0, 3.0, HAND_REACH)
+TABLE, SPRING = TableSpec(), Spring(50.0, 3.0, HAND_REACH)
 NHG = Condition("nhg", "a", "NHG", NoGuidance())
-OAHG = Condition("oahg", "b", "OAHG (vanilla)", Toward("optimal", SPRING))
-SCENE = Scene(TABLE, "OAHG (vanilla)", "simulated striker", "generation 25", frozenset({"optimal"}), False, 800)
+OAHG = Condition("oahg", "b", "OAHG (vanilla)", SpringGuidance("optimal", SPRING))
+SCENE = FilmInfo(TABLE, "OAHG (vanilla)", "simulated striker", "generation 25", frozenset({"optimal"}), False, 800)
 
 
 def run(monkeypatch, folder: Path, *arguments: str) -> Path:
@@ -56,8 +74,8 @@ def absent(observation: torch.Tensor) -> torch.Tensor:
 
 
 def play(models: Models, condition: Condition, seconds: float = 1.0, against: Player = opponent) -> pd.DataFrame:
-    users = Users(sample_people(1, 3), streams(3, [0], 0, 0), TABLE)
-    return watch.play(users, condition, models, None, against, 0.1, TABLE, streams(3, [0], 0, 1), seconds)
+    users = SimulatedUsers(sample_people(1, 3), spawn_rng_states(3, [0], 0, 0), TABLE)
+    return watch.play(users, condition, models, None, against, 0.1, TABLE, spawn_rng_states(3, [0], 0, 1), seconds)
 
 
 def still(**values: float) -> pd.DataFrame:
@@ -118,12 +136,12 @@ def test_the_log_is_the_game_of_the_study(models):
     """The same person, streams and condition in the study's own loop: the same states tick by tick, over goals too."""
     states = []
 
-    def forces(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> Guided:
+    def forces(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> GuidanceOutput:
         states.append(np.concatenate([state[0], HAND_REACH * action[0]]))
-        return Guided(torch.zeros(1, 2, dtype=torch.float64))
+        return GuidanceOutput(torch.zeros(1, 2, dtype=torch.float64))
 
-    users = Users(sample_people(1, 3), streams(3, [0], 0, 0), TABLE)
-    play_games(users, absent, forces, Protocol(40, 1, 0, 0, 60), TABLE, streams(3, [0], 0, 1))
+    users = SimulatedUsers(sample_people(1, 3), spawn_rng_states(3, [0], 0, 0), TABLE)
+    play_games(users, absent, forces, Protocol(40, 1, 0, 0, 60), TABLE, spawn_rng_states(3, [0], 0, 1))
     ticks, seen = play(models, NHG, 40, absent), np.array(states)[:2000]
     assert np.array_equal(ticks[[*STATE, "hand_x", "hand_y"]], seen)
     acted = ticks["goal"] == 0  # with a new round the hand is back at the centre
@@ -142,7 +160,9 @@ def test_the_force_in_the_log_follows_from_hand_and_target_in_the_log(models):
 
 def test_the_weights_in_the_log_follow_from_the_stds_in_the_log(models):
     low, high = Thresholds(0.1, 0.9), Thresholds(0.3, 1.5)
-    both = Combined(Toward("optimal", SPRING, low), Toward("user", SPRING, high), similarity=True)
+    both = CombinedGuidance(
+        SpringGuidance("optimal", SPRING, low), SpringGuidance("user", SPRING, high), similarity=True
+    )
     ticks = play(models, Condition("both", "i", "both", both))
     for name, limits in (("optimal", low), ("predicted", high)):
         std = torch.tensor(ticks[[f"{name}_std_x", f"{name}_std_y"]].to_numpy())
@@ -165,7 +185,7 @@ def test_the_arrow_points_where_the_force_does_and_is_as_long(force):
 
 @pytest.mark.parametrize("model", TARGETS)
 def test_the_ellipse_reaches_one_std_from_the_target(model):
-    std, half = np.array([0.5, 0.3]), reach(TABLE)[1]
+    std, half = np.array([0.5, 0.3]), action_range(TABLE)[1]
     at = {f"{model}_y": 0.0}
     plain = draw_play(still(**at), 0, SCENE, 800)
     drawn = draw_play(still(**at, **{f"{model}_std_x": std[0], f"{model}_std_y": std[1]}), 0, SCENE, 800)

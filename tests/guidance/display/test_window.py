@@ -9,15 +9,15 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, Table
+from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec
 from airhockey_marl.envs.rendering import COLOURS, FELT
 from guidance.display.arena import Arena
 from guidance.display.film import ARROW, FORCE, PAPER, TARGETS
 from guidance.display.pages import Items, Page
 from guidance.display.window import BAR, NARROWEST, Window
-from guidance.forces.conditions import Target
-from guidance.haptics.clock import HurriedClock
-from guidance.haptics.seat import Leave, Moment
+from guidance.forces.conditions import Prediction
+from guidance.haptics.clock import SimulatedClock
+from guidance.haptics.seat import DisplayState, Quit
 
 STATE = np.array([-0.5, 0.1, 0, 0, 0.6, -0.2, 0, 0, 0.2, 0.3, 0, 0])
 ITEMS = {name: f"How {name}?" for name in ("helpful", "natural", "controllable", "comfortable")}
@@ -25,14 +25,14 @@ ITEMS = {name: f"How {name}?" for name in ("helpful", "natural", "controllable",
 
 @pytest.fixture
 def window():
-    window = Window("test", Table(), NARROWEST, 60, HurriedClock(), {"o": "targets", "h": "help"})
+    window = Window("test", TableSpec(), NARROWEST, 60, SimulatedClock(), {"o": "targets", "h": "help"})
     yield window
     window.close()
 
 
-def moment(**changes) -> Moment:
+def moment(**changes) -> DisplayState:
     state = changes.pop("state", STATE)
-    return Moment(state=state, last=state, share=1.0, **{"hand": np.array([-0.03, 0.2]), **changes})
+    return DisplayState(state=state, last=state, share=1.0, **{"hand": np.array([-0.03, 0.2]), **changes})
 
 
 def press(*keys: int | str) -> None:
@@ -42,7 +42,7 @@ def press(*keys: int | str) -> None:
         pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=code, unicode=text, mod=0))
 
 
-def shown(window: Window, now: Moment) -> np.ndarray:
+def shown(window: Window, now: DisplayState) -> np.ndarray:
     """(height, width, 3) the picture, without the trails of those before."""
     window.arena._way = []
     window.frame(now)
@@ -67,7 +67,7 @@ def test_nothing_changes_where_nothing_moves_and_the_puck_changes_where_it_was_a
     moved = STATE.copy()
     moved[8:10] = -0.2, -0.35
     changed = np.argwhere(np.abs(shown(window, moment(state=moved)) - first).max(axis=2) > 8) - [BAR, 0]
-    radius = window.arena.scale * Table().puck_radius + 3
+    radius = window.arena.scale * TableSpec().puck_radius + 3
     places = [window.arena.pixel(np.array(place))[::-1] for place in ((0.2, 0.3), (-0.2, -0.35))]
     near = [np.hypot(*(changed - place).T) < radius for place in places]
     assert all(mask.sum() > 300 for mask in near) and (near[0] | near[1]).all()
@@ -76,7 +76,7 @@ def test_nothing_changes_where_nothing_moves_and_the_puck_changes_where_it_was_a
 def test_between_two_ticks_a_body_is_between_two_places(window):
     later = STATE.copy()
     later[8:10] = 0.3, 0.3
-    picture = shown(window, Moment(state=later, last=STATE, share=0.5, hand=np.array([0.9, 0.9])))
+    picture = shown(window, DisplayState(state=later, last=STATE, share=0.5, hand=np.array([0.9, 0.9])))
     assert colour_at(window, picture, 0.25, 0.3) == COLOURS[PUCK]
     assert colour_at(window, picture, 0.25 + 0.04, 0.3) != COLOURS[PUCK]
 
@@ -112,7 +112,7 @@ def test_a_serve_leaves_no_trail_across_the_table(window):
 
 def test_targets_are_shown_when_asked_for_and_only_where_they_may_be(window):
     targets = {
-        name: Target(torch.tensor([[x, -0.5]]), torch.full((1, 2), 0.2))
+        name: Prediction(torch.tensor([[x, -0.5]]), torch.full((1, 2), 0.2))
         for name, x in (("optimal", -0.4), ("predicted", 0.5))
     }
     now = moment(**targets)
@@ -144,7 +144,7 @@ ARENAS: dict[int, Arena] = {}
 def _arena(size: int) -> Arena:
     pygame.display.init()
     pygame.display.set_mode((100, 100))
-    ARENAS[size] = Arena(Table(), 400 * size)
+    ARENAS[size] = Arena(TableSpec(), 400 * size)
     return ARENAS[size]
 
 
@@ -182,7 +182,7 @@ def test_who_turns_to_another_window_is_not_attentive(window):
 def test_closing_and_escape_leave(window, event):
     for show in (lambda: window.frame(moment()), lambda: window.page(Page("a", "b", {"return": "go"}))):
         pygame.event.post(event)
-        with pytest.raises(Leave):
+        with pytest.raises(Quit):
             show()
     assert window.frame(moment()) == []  # and leave nothing behind
 
@@ -234,7 +234,7 @@ def test_escape_empties_a_line_and_then_leaves(window):
     press("a", "b", "escape", "c", "return")
     assert window.write_down(Page("Interview", "What?", {})) == "c"
     press("escape")
-    with pytest.raises(Leave):
+    with pytest.raises(Quit):
         window.write_down(Page("Interview", "What?", {}))
 
 
@@ -247,7 +247,7 @@ def test_the_mouse_can_be_seen_where_it_answers(window):
 
 
 def test_before_a_game_there_is_an_empty_table(window):
-    window.frame(Moment(title="Game 1 of 9"))
+    window.frame(DisplayState(title="Game 1 of 9"))
     picture = window.screenshot().astype(int)[BAR : BAR + window.arena.size[1]]
     assert not any((picture == COLOURS[body]).all(axis=2).any() for body in (PUCK, RIGHT))
 
@@ -286,7 +286,7 @@ def test_every_text_fits(width):
     from guidance.commands.play import KEYS
     from guidance.sessions.session import FIRST_GAME, NEXT_GAME, WELCOME
 
-    window = Window("test", Table(), width, 60, HurriedClock(), {})
+    window = Window("test", TableSpec(), width, 60, SimulatedClock(), {})
     long = {"return": "begin", "s": "no practice"}
     numbers = {"familiarisation": 30, "rounds": 7, "most": 10, "number": 9, "games": 9}
     nine = {str(i): "(i) CombHG (UT+UA+SC)" for i in range(1, 10)}

@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from torch.testing import assert_close
 
-from guidance.forces.equations import combine, lookahead, similarity_weight, spring_force, uncertainty_weight
+from guidance.forces.equations import combine, lookahead_state, similarity_weight, spring_force, uncertainty_weight
 
 coordinate = st.floats(-1e3, 1e3, allow_subnormal=False)
 vector = st.tuples(coordinate, coordinate)
@@ -35,24 +35,24 @@ def pointing(phi, dtype=torch.float64):
 
 def test_lookahead_moves_each_body_with_its_own_velocity():
     state = tensor(1.0, 2.0, 0.5, -1.0, -3.0, 0.0, 0.0, 4.0)
-    assert_close(lookahead(state, 0.2), tensor(1.1, 1.8, 0.5, -1.0, -3.0, 0.8, 0.0, 4.0))
+    assert_close(lookahead_state(state, 0.2), tensor(1.1, 1.8, 0.5, -1.0, -3.0, 0.8, 0.0, 4.0))
 
 
 def test_lookahead_of_no_time_is_the_state():
     state = torch.randn(3, 5, 12)
-    assert torch.equal(lookahead(state, 0.0), state)
+    assert torch.equal(lookahead_state(state, 0.0), state)
 
 
 def test_lookahead_leaves_its_argument_alone():
     state = torch.ones(12)
-    lookahead(state, 1.0)
+    lookahead_state(state, 1.0)
     assert torch.equal(state, torch.ones(12))
 
 
 @given(st.floats(0, 10), st.floats(0, 10))
 def test_lookahead_twice_is_lookahead_once(first, second):
     state = torch.linspace(-2, 2, 24, dtype=torch.float64).view(2, 12)
-    assert_close(lookahead(lookahead(state, first), second), lookahead(state, first + second))
+    assert_close(lookahead_state(lookahead_state(state, first), second), lookahead_state(state, first + second))
 
 
 # Eq. 4
@@ -226,12 +226,12 @@ pair, integers, triple = torch.ones(2), torch.ones(2, dtype=torch.int64), torch.
 @pytest.mark.parametrize(
     ("field", "call"),
     [
-        ("state", lambda: lookahead(torch.ones(10), 0.1)),
-        ("state", lambda: lookahead(torch.ones(0), 0.1)),
-        ("state", lambda: lookahead(torch.tensor(1.0), 0.1)),
-        ("state", lambda: lookahead(torch.ones(12, dtype=torch.int64), 0.1)),
-        ("seconds", lambda: lookahead(torch.ones(12), -0.1)),
-        ("seconds", lambda: lookahead(torch.ones(12), math.nan)),
+        ("state", lambda: lookahead_state(torch.ones(10), 0.1)),
+        ("state", lambda: lookahead_state(torch.ones(0), 0.1)),
+        ("state", lambda: lookahead_state(torch.tensor(1.0), 0.1)),
+        ("state", lambda: lookahead_state(torch.ones(12, dtype=torch.int64), 0.1)),
+        ("seconds", lambda: lookahead_state(torch.ones(12), -0.1)),
+        ("seconds", lambda: lookahead_state(torch.ones(12), math.nan)),
         ("position", lambda: spring_force(triple, pair, 1, 1)),
         ("target", lambda: spring_force(pair, integers, 1, 1)),
         ("stiffness", lambda: spring_force(pair, pair, -1, 1)),

@@ -6,16 +6,16 @@ import os
 import numpy as np
 import pytest
 
-from airhockey_marl.envs.physics import LEFT, Table
-from airhockey_marl.envs.world import Tables
+from airhockey_marl.envs.physics import LEFT, TableSpec
+from airhockey_marl.envs.world import World
 from guidance.haptics.devices import DeviceError
 from guidance.haptics.devices.gamepad import RUMBLE_MS, Gamepad, open_gamepad
 from guidance.haptics.devices.mouse import Mouse
 from guidance.haptics.devices.pointed import FASTEST, PointedHand, median_person
 from guidance.haptics.devices.simulated import Simulated
-from guidance.haptics.safety import Limits
-from guidance.haptics.servo import Inline
-from guidance.simulated_users import Population, Users, personal_streams, sample_people
+from guidance.haptics.safety import SafetyLimits
+from guidance.haptics.servo import InProcessServo
+from guidance.simulated_users import Population, SimulatedUsers, personal_streams, sample_people
 from guidance.simulated_users.arm import HAND_REACH
 
 STEP, SEEN = 0.001, np.zeros(12)
@@ -246,7 +246,7 @@ def test_a_pad_that_is_gone_is_not_held(how):
     assert not device.held
     with pytest.raises(DeviceError, match="the gamepad is gone"):
         device.position  # noqa: B018
-    servo = Inline(device, Limits())
+    servo = InProcessServo(device, SafetyLimits())
     servo.push((1.0, 0.0))
     servo.advance(5, np.zeros(12))
     assert servo.fault == "the device failed: the gamepad is gone; leave, plug it in, and go on"
@@ -283,12 +283,12 @@ def test_there_is_no_pad_where_none_is_connected(monkeypatch):
 
 
 def person(seed=4, table=None):
-    return Users(sample_people(1, seed), personal_streams(1, seed), table)
+    return SimulatedUsers(sample_people(1, seed), personal_streams(1, seed), table)
 
 
 def game(ticks, act):
     """Play alone against a paddle that rests: `act` maps what is seen (12,) to where the hand then is (2,)."""
-    tables, seen, actions = Tables(1), np.empty((1, 12)), np.zeros((1, 2, 2))
+    tables, seen, actions = World(1), np.empty((1, 12)), np.zeros((1, 2, 2))
     tables.seed(9)
     tables.new_rounds()
     trail = []
@@ -368,9 +368,9 @@ def test_relaxing_ends_the_force_on_the_person():
 
 def test_what_a_simulated_person_cannot_be_given_is_refused():
     with pytest.raises(ValueError, match=r"^users: n = 2 must be 1"):
-        Simulated(Users(sample_people(2, 0), personal_streams(2, 0)))
+        Simulated(SimulatedUsers(sample_people(2, 0), personal_streams(2, 0)))
     with pytest.raises(ValueError, match=r"^table.tick = 0.0205 must be a whole number of ms"):
-        Simulated(person(table=Table(tick=0.0205)))
+        Simulated(person(table=TableSpec(tick=0.0205)))
     for seconds in (0.0005, 0.0, 0.0015):
         with pytest.raises(ValueError, match=f"^seconds = {seconds} must be a whole number of ms"):
             Simulated(person()).advance(seconds, SEEN)

@@ -12,8 +12,8 @@ import pytest
 
 from guidance.haptics.devices import DeviceError, forcedimension
 from guidance.haptics.devices.forcedimension import GRIP_STEPS, ForceDimension
-from guidance.haptics.safety import Limits
-from guidance.haptics.servo import Inline
+from guidance.haptics.safety import SafetyLimits
+from guidance.haptics.servo import InProcessServo
 
 BINDING = "forcedimension_core"
 TIME_GUARD, SATURATED, TIMEOUT = 1, 2, 7
@@ -403,7 +403,7 @@ class Passing(ForceDimension):
 def test_the_servo_drives_it_through_the_safety_layer(sdk, clock):
     device = Passing(plane_stiffness=200.0, plane_damping=0.0)
     device.clock = clock
-    servo = Inline(device, Limits(soft_start=0.0))
+    servo = InProcessServo(device, SafetyLimits(soft_start=0.0))
     sdk.at = (-0.05, 0.0, 0.01)
     for _ in range(100):
         servo.push((4.0, 0.0))

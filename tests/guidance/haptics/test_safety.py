@@ -11,11 +11,11 @@ from omegaconf import OmegaConf
 
 from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
-from guidance.haptics.safety import Limits, Safety, within
+from guidance.haptics.safety import Safety, SafetyLimits, clip_norm
 
 STEP = 0.001
 CENTRE, STILL = (0.0, 0.0), (0.0, 0.0)
-AT_ONCE = Limits(soft_start=0.0)  # no soft start
+AT_ONCE = SafetyLimits(soft_start=0.0)  # no soft start
 ROUNDING = 1e-12
 
 odd = st.floats(allow_nan=True, allow_infinity=True)
@@ -58,7 +58,7 @@ steps = st.tuples(
     st.sampled_from(["", "", "", "release", "fail"]),
 )
 limits = st.builds(
-    Limits,
+    SafetyLimits,
     force=st.floats(1e-3, 50),
     slew=st.floats(0.1, 1e4),
     soft_start=st.floats(0, 1),
@@ -82,7 +82,7 @@ def test_whatever_is_asked_for_the_force_is_bounded(limits, steps):
 
 
 def test_a_hundred_and_fifty_thousand_random_steps():
-    rng, limits = random.Random(1), Limits()
+    rng, limits = random.Random(1), SafetyLimits()
     odd = (math.nan, math.inf, -math.inf, 1.8e308, -1.8e308, 1e300, 5e-324, -0.0)
     safety, before, force, held = Safety(limits), (0.0, 0.0), (0.0, 0.0), True
     seen = dict.fromkeys(("full", "fault", "released", "refused", "loose", "stale"), 0)
@@ -113,7 +113,7 @@ def test_a_hundred_and_fifty_thousand_random_steps():
 
 @given(anything, st.floats(0, 1e308))
 def test_within_never_exceeds_by_a_rounding(vector, most):
-    x, y = within(*vector, most)
+    x, y = clip_norm(*vector, most)
     assert math.hypot(x, y) <= most
     if math.isfinite(vector[0]) and math.isfinite(vector[1]) and math.hypot(*vector) <= most:
         assert (x, y) == vector
@@ -121,7 +121,7 @@ def test_within_never_exceeds_by_a_rounding(vector, most):
 
 @given(st.tuples(st.floats(-1.7e308, 1.7e308), st.floats(-1.7e308, 1.7e308)), st.floats(1e-3, 50))
 def test_within_keeps_the_direction(vector, most):
-    x, y = within(*vector, most)
+    x, y = clip_norm(*vector, most)
     size = max(map(abs, vector)) or 1.0
     towards = vector[0] / size, vector[1] / size
     assert abs(towards[0] * y - towards[1] * x) <= 1e-12 * most and towards[0] * x + towards[1] * y >= 0
@@ -160,7 +160,7 @@ def test_a_huge_force_keeps_its_direction():
 
 
 def test_the_force_changes_no_faster_than_the_slew_and_straight():
-    safety = Safety(Limits(soft_start=0.0, slew=100.0))
+    safety = Safety(SafetyLimits(soft_start=0.0, slew=100.0))
     run(safety, (3.0, 0.0), 100)
     trail = [ask(safety, (-1.8, 2.4)) for _ in range(100)]
     # 100 N/s: .1 N a step along the straight line from (3, 0) to (-1.8, 2.4), 5.367 N long: there at the 54th
@@ -172,12 +172,12 @@ def test_the_force_changes_no_faster_than_the_slew_and_straight():
 
 
 def test_the_slew_is_of_the_norm_not_of_each_axis():
-    force = ask(Safety(Limits(soft_start=0.0, slew=100.0)), (2.0, 2.0))
+    force = ask(Safety(SafetyLimits(soft_start=0.0, slew=100.0)), (2.0, 2.0))
     assert math.hypot(*force) == pytest.approx(0.1)
 
 
 def test_a_force_that_creeps_along_the_limit_does_not_exceed_it_by_a_rounding():
-    rng, safety = random.Random(0), Safety(Limits(soft_start=0.0, slew=1.0))
+    rng, safety = random.Random(0), Safety(SafetyLimits(soft_start=0.0, slew=1.0))
     for _ in range(1000):
         angle = rng.uniform(-math.pi, math.pi)
         ask(safety, (5 * math.cos(angle), 5 * math.sin(angle)), seconds=10.0)
@@ -186,14 +186,14 @@ def test_a_force_that_creeps_along_the_limit_does_not_exceed_it_by_a_rounding():
 
 
 def test_longer_steps_may_change_more():
-    assert ask(Safety(Limits(soft_start=0.0, slew=100.0)), (2.0, 0.0), seconds=0.005) == pytest.approx((0.5, 0.0))
+    assert ask(Safety(SafetyLimits(soft_start=0.0, slew=100.0)), (2.0, 0.0), seconds=0.005) == pytest.approx((0.5, 0.0))
 
 
 # starting softly
 
 
 def test_the_force_rises_over_the_soft_start():
-    safety = Safety(Limits(soft_start=0.5))
+    safety = Safety(SafetyLimits(soft_start=0.5))
     trail = [ask(safety, (2.0, 0.0))[0] for _ in range(600)]
     for at in (0, 99, 249, 400):
         assert trail[at] == pytest.approx(2.0 * (at + 1) / 500)
@@ -201,7 +201,7 @@ def test_the_force_rises_over_the_soft_start():
 
 
 def test_waiting_for_the_first_force_is_no_soft_start():
-    safety = Safety(Limits(soft_start=0.5))
+    safety = Safety(SafetyLimits(soft_start=0.5))
     run(safety, (2.0, 0.0), 2000, age=math.inf)
     assert run(safety, (2.0, 0.0), 50) == pytest.approx((0.2, 0.0))
 
@@ -220,7 +220,7 @@ def test_a_stale_force_ramps_down_at_the_slew(age):
 
 
 def test_a_fresh_force_returns_at_the_slew_without_a_soft_start():
-    safety = Safety(Limits(soft_start=0.5))
+    safety = Safety(SafetyLimits(soft_start=0.5))
     run(safety, (3.0, 0.0), 600)
     run(safety, (3.0, 0.0), 100, age=1.0)
     assert run(safety, (3.0, 0.0), 20) == pytest.approx((3.0, 0.0))
@@ -230,7 +230,7 @@ def test_a_fresh_force_returns_at_the_slew_without_a_soft_start():
 
 
 def test_letting_go_ramps_down_and_a_new_grip_starts_softly():
-    safety = Safety(Limits(soft_start=0.5))
+    safety = Safety(SafetyLimits(soft_start=0.5))
     run(safety, (3.0, 0.0), 600)
     trail = [ask(safety, (3.0, 0.0), held=False)[0] for _ in range(25)]
     assert trail[:19] == pytest.approx([3.0 - 0.15 * step for step in range(1, 20)])
@@ -239,7 +239,7 @@ def test_letting_go_ramps_down_and_a_new_grip_starts_softly():
 
 
 def test_a_moment_without_a_grip_starts_softly_too():
-    safety = Safety(Limits(soft_start=0.5))
+    safety = Safety(SafetyLimits(soft_start=0.5))
     run(safety, (3.0, 0.0), 600)
     ask(safety, (3.0, 0.0), held=False)
     assert run(safety, (3.0, 0.0), 100)[0] == pytest.approx(0.6)
@@ -258,7 +258,7 @@ BAD_HANDS = {
 
 @pytest.mark.parametrize(("words", "hand"), BAD_HANDS.items())
 def test_a_bad_hand_is_a_fault_at_once_and_until_it_is_released(words, hand):
-    safety = Safety(Limits(soft_start=0.5))
+    safety = Safety(SafetyLimits(soft_start=0.5))
     assert run(safety, (3.0, 0.0), 600) == (3.0, 0.0)
     assert ask(safety, (3.0, 0.0), **hand) == (0.0, 0.0)
     assert words in safety.fault
@@ -279,7 +279,7 @@ def test_a_hand_that_is_not_a_number_is_a_fault(axis, name, bad):
 
 
 def test_the_corner_of_the_reach_is_inside_and_quick_hands_are_slow_enough():
-    safety = Safety(Limits())
+    safety = Safety(SafetyLimits())
     ask(safety, (1.0, 0.0), position=(0.075, -0.075), velocity=(1.2, 1.2))
     assert safety.fault is None
 
@@ -303,7 +303,7 @@ def test_the_first_fault_is_the_one_that_is_told():
 
 
 def test_releasing_what_is_no_fault_changes_nothing():
-    safety = Safety(Limits(soft_start=0.5))
+    safety = Safety(SafetyLimits(soft_start=0.5))
     run(safety, (3.0, 0.0), 600)
     assert safety.release()
     assert ask(safety, (3.0, 0.0)) == (3.0, 0.0)
@@ -312,23 +312,23 @@ def test_releasing_what_is_no_fault_changes_nothing():
 # the limits
 
 
-@pytest.mark.parametrize("name", asdict(Limits()))
+@pytest.mark.parametrize("name", asdict(SafetyLimits()))
 @pytest.mark.parametrize("value", [-1.0, math.nan, math.inf, True, "3", None])
 def test_bad_limits_are_refused_by_name(name, value):
     with pytest.raises(ValueError, match=rf"^safety\.{name} = .* must be a finite number"):
-        Limits(**{name: value})
+        SafetyLimits(**{name: value})
 
 
-@pytest.mark.parametrize("name", sorted(set(asdict(Limits())) - {"soft_start"}))
+@pytest.mark.parametrize("name", sorted(set(asdict(SafetyLimits())) - {"soft_start"}))
 def test_only_the_soft_start_may_be_nothing(name):
-    assert Limits(soft_start=0).soft_start == 0
+    assert SafetyLimits(soft_start=0).soft_start == 0
     with pytest.raises(ValueError, match=rf"^safety\.{name} = 0 must be a finite number above 0$"):
-        Limits(**{name: 0})
+        SafetyLimits(**{name: 0})
 
 
 def test_the_configuration_is_the_default_and_every_key_is_explained():
     path = CONF / "safety" / "default.yaml"
-    assert build(OmegaConf.load(path)) == Limits()
+    assert build(OmegaConf.load(path)) == SafetyLimits()
     lines = path.read_text(encoding="utf-8").splitlines()
     keys = [index for index, line in enumerate(lines) if not line.startswith("#")]
-    assert len(keys) == 1 + len(asdict(Limits())) and all(lines[index - 1].startswith("#") for index in keys)
+    assert len(keys) == 1 + len(asdict(SafetyLimits())) and all(lines[index - 1].startswith("#") for index in keys)

@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from guidance.haptics.clock import HurriedClock
+from guidance.haptics.clock import SimulatedClock
 from guidance.haptics.devices.mouse import Mouse
-from guidance.haptics.safety import Limits
-from guidance.haptics.seat import Dark, Leave, Seat
-from guidance.haptics.servo import Inline
+from guidance.haptics.safety import SafetyLimits
+from guidance.haptics.seat import NullDisplay, Quit, RealTimePlayer
+from guidance.haptics.servo import InProcessServo
 from guidance.simulated_users.arm import HAND_REACH
 
 STATE, FORCE = np.arange(12.0)[None], np.array([[1.5, -0.5]])
@@ -16,7 +16,7 @@ STATE, FORCE = np.arange(12.0)[None], np.array([[1.5, -0.5]])
 class Hand:
     """Writes down what it is told, and when."""
 
-    def __init__(self, clock: HurriedClock) -> None:
+    def __init__(self, clock: SimulatedClock) -> None:
         self.clock, self.position, self.force, self.fault = clock, (0.03, -0.06), (0.0, 0.0), None
         self.pushed, self.passed, self.released, self.held = [], 0, False, True
 
@@ -37,7 +37,7 @@ class Hand:
 class Screen:
     """Shows pictures that take a while, and presses keys at their times."""
 
-    def __init__(self, clock: HurriedClock, cost: float = 0.0, keys: dict[float, str] | None = None) -> None:
+    def __init__(self, clock: SimulatedClock, cost: float = 0.0, keys: dict[float, str] | None = None) -> None:
         self.clock, self.cost, self.keys = clock, cost, dict(keys or {})
         self.next_frame, self.attentive, self.frames, self.notes = 0.0, True, [], []
 
@@ -52,13 +52,13 @@ class Screen:
         assert self.clock.now() < 60, "somebody waits for ever"
         due = [self.keys.pop(at) for at in list(self.keys) if at <= self.clock.now()]
         if "escape" in due:
-            raise Leave
+            raise Quit
         return due
 
 
-def seated(cost: float = 0.0, keys: dict[float, str] | None = None, dark: bool = False) -> Seat:
-    clock = HurriedClock()
-    return Seat(Hand(clock), Dark() if dark else Screen(clock, cost, keys), clock, 0.02, breath=0.0)
+def seated(cost: float = 0.0, keys: dict[float, str] | None = None, dark: bool = False) -> RealTimePlayer:
+    clock = SimulatedClock()
+    return RealTimePlayer(Hand(clock), NullDisplay() if dark else Screen(clock, cost, keys), clock, 0.02, breath=0.0)
 
 
 def test_fifty_ticks_are_a_second_in_which_the_hand_lives_a_thousand_milliseconds():
@@ -119,9 +119,9 @@ def test_space_pauses_without_a_force_until_space():
 
 
 def test_after_a_pause_and_in_a_new_game_a_force_starts_softly():
-    clock = HurriedClock()
-    hand = Inline(Mouse(), Limits())
-    seat = Seat(hand, Screen(clock, keys={3.0: "space", 4.0: "space"}), clock, 0.02, breath=1.0)
+    clock = SimulatedClock()
+    hand = InProcessServo(Mouse(), SafetyLimits())
+    seat = RealTimePlayer(hand, Screen(clock, keys={3.0: "space", 4.0: "space"}), clock, 0.02, breath=1.0)
 
     def strength(ticks: int) -> float:
         for _ in range(ticks):
@@ -156,8 +156,8 @@ def test_what_the_hand_does_in_a_pause_is_no_action():
 
 
 def test_space_makes_a_pause_of_a_breath():
-    clock = HurriedClock()
-    seat = Seat(Hand(clock), Screen(clock, keys={0.3: "space", 5.0: "space"}), clock, 0.02, breath=1.0)
+    clock = SimulatedClock()
+    seat = RealTimePlayer(Hand(clock), Screen(clock, keys={0.3: "space", 5.0: "space"}), clock, 0.02, breath=1.0)
     seat.new_round(np.array([True]))
     assert 5.0 <= clock.now() < 5.1 and seat.pauses == 1
 
@@ -188,7 +188,7 @@ def test_who_turns_away_gets_no_force_and_comes_back_by_space():
 def test_leaving_leaves_from_the_game_and_from_a_pause():
     for keys in ({0.1: "escape"}, {0.1: "space", 0.5: "escape"}):
         seat = seated(keys=keys)
-        with pytest.raises(Leave):
+        with pytest.raises(Quit):
             for _ in range(100):
                 seat.step(STATE, FORCE)
 
@@ -207,8 +207,8 @@ def test_after_a_fault_the_game_waits_until_it_is_released_and_somebody_is_ready
 
 
 def test_a_fault_before_a_round_outlasts_the_breath():
-    clock = HurriedClock()
-    seat = Seat(Hand(clock), Screen(clock, keys={3.0: "r", 4.0: "space"}), clock, 0.02, breath=1.0)
+    clock = SimulatedClock()
+    seat = RealTimePlayer(Hand(clock), Screen(clock, keys={3.0: "r", 4.0: "space"}), clock, 0.02, breath=1.0)
     seat.hand.fault = "the hand is too far out"
     seat.new_round(np.array([True]))
     assert 3.0 <= clock.now() < 3.1
@@ -222,8 +222,8 @@ def test_without_a_screen_a_fault_is_an_error():
 
 
 def test_a_breath_between_rounds():
-    clock = HurriedClock()
-    seat = Seat(Hand(clock), Screen(clock), clock, 0.02, breath=1.0)
+    clock = SimulatedClock()
+    seat = RealTimePlayer(Hand(clock), Screen(clock), clock, 0.02, breath=1.0)
     seat.step(STATE, FORCE)
     seat.new_round(np.array([False]))
     assert clock.now() == pytest.approx(0.02)

@@ -16,14 +16,14 @@ import pytest
 from guidance.haptics.devices import DeviceError
 from guidance.haptics.devices.mouse import Mouse
 from guidance.haptics.devices.simulated import Simulated
-from guidance.haptics.safety import Limits
-from guidance.haptics.servo import PERIOD, SERVO_HZ, TICK, Inline, Servo, Slot
-from guidance.simulated_users import Users, personal_streams, sample_people
+from guidance.haptics.safety import SafetyLimits
+from guidance.haptics.servo import PERIOD, SERVO_HZ, TICK, InProcessServo, ServoProcess, SharedRecord
+from guidance.simulated_users import SimulatedUsers, personal_streams, sample_people
 from tests import ROOT
 from tests.guidance.haptics.fake_device import Logged, Refused
 
-AT_ONCE = Limits(soft_start=0.0, slew=3000.0)  # the full force within a step
-QUICK = Limits(soft_start=0.0)
+AT_ONCE = SafetyLimits(soft_start=0.0, slew=3000.0)  # the full force within a step
+QUICK = SafetyLimits(soft_start=0.0)
 SEEN = np.zeros(12)
 
 
@@ -68,7 +68,7 @@ class Unreadable(Hand):
 
 def inline(limits=AT_ONCE, device=None):
     device = device or Hand()
-    return device, Inline(device, limits)
+    return device, InProcessServo(device, limits)
 
 
 # its steps
@@ -188,7 +188,7 @@ def test_a_device_that_fails_is_a_fault_and_no_exception(broken, words):
 def test_a_device_that_is_broken_from_the_start_is_a_fault():
     device = Hand()
     device.broken = "set"
-    servo = Inline(device, AT_ONCE)
+    servo = InProcessServo(device, AT_ONCE)
     assert servo.fault == "the device failed: no answer at all"
 
 
@@ -211,7 +211,7 @@ def test_a_force_of_three_numbers_is_refused():
 
 def test_inline_repeats_itself_to_the_last_bit():
     def play(device):
-        servo, rng, trail = Inline(device, Limits()), np.random.default_rng(3), []
+        servo, rng, trail = InProcessServo(device, SafetyLimits()), np.random.default_rng(3), []
         for _ in range(60):
             if isinstance(device, Mouse):
                 device.point(*rng.uniform(-0.075, 0.075, 2))
@@ -223,7 +223,7 @@ def test_inline_repeats_itself_to_the_last_bit():
         return np.array(trail)
 
     def person():
-        return Users(sample_people(1, 4), personal_streams(1, 4))
+        return SimulatedUsers(sample_people(1, 4), personal_streams(1, 4))
 
     for device in (Mouse, lambda: Simulated(person())):
         first, second = play(device()), play(device())
@@ -238,8 +238,8 @@ def test_inline_hands_the_state_and_the_time_on():
 
 
 def test_a_simulated_person_in_the_servo_feels_the_force():
-    people = [Users(sample_people(1, 4), personal_streams(1, 4)) for _ in range(2)]
-    servos = [Inline(Simulated(users), QUICK) for users in people]
+    people = [SimulatedUsers(sample_people(1, 4), personal_streams(1, 4)) for _ in range(2)]
+    servos = [InProcessServo(Simulated(users), QUICK) for users in people]
     for _ in range(50):
         for servo, force in zip(servos, ((2.0, 0.0), (0.0, 0.0)), strict=True):
             servo.push(force)
@@ -253,7 +253,7 @@ def test_a_simulated_person_in_the_servo_feels_the_force():
 def test_a_record_that_is_half_written_is_not_read():
     import multiprocessing
 
-    slot = Slot("=q2d", multiprocessing.get_context("spawn"), 1, 2.0, 3.0)
+    slot = SharedRecord("=q2d", multiprocessing.get_context("spawn"), 1, 2.0, 3.0)
     assert slot.read() == (1, 2.0, 3.0)
     before = slot._raw.raw
     slot.write(2, -5.0, 7.0)
@@ -278,7 +278,9 @@ def begin(log):
     begun = []
 
     def begin(limits=AT_ONCE, **keywords):
-        begun.append(Servo(("tests.guidance.haptics.fake_device", "Logged", {"path": str(log), **keywords}), limits))
+        begun.append(
+            ServoProcess(("tests.guidance.haptics.fake_device", "Logged", {"path": str(log), **keywords}), limits)
+        )
         return begun[-1]
 
     yield begin
@@ -342,28 +344,28 @@ def test_the_process_knows_nothing_of_the_game(begin, log):
 
 
 def test_a_callable_opens_the_device_as_well(log):
-    servo = Servo(partial(Logged, str(log)), AT_ONCE)
+    servo = ServoProcess(partial(Logged, str(log)), AT_ONCE)
     servo.close()
     assert ended_well(log)
 
 
 def test_a_device_that_does_not_open_is_an_error_here(log):
     with pytest.raises(DeviceError, match=r"^there is no such device$"):
-        Servo(
+        ServoProcess(
             ("tests.guidance.haptics.fake_device", "Logged", {"path": str(log), "refuse": "there is no such device"}),
             AT_ONCE,
         )
     with pytest.raises(DeviceError, match=r"No module named 'guidance.haptics.devices.loudspeaker'"):
-        Servo(("guidance.haptics.devices.loudspeaker", "Loudspeaker", {}), AT_ONCE)
+        ServoProcess(("guidance.haptics.devices.loudspeaker", "Loudspeaker", {}), AT_ONCE)
 
 
 def test_a_process_that_dies_as_it_opens_is_an_error_here():
     with pytest.raises(DeviceError, match=r"^the servo ended while it opened the device \(exit code 5\)$"):
-        Servo(("os", "_exit", {"status": 5}), AT_ONCE)
+        ServoProcess(("os", "_exit", {"status": 5}), AT_ONCE)
 
 
 def test_the_process_keeps_to_the_limits(begin, log):
-    limits = Limits(soft_start=0.05)
+    limits = SafetyLimits(soft_start=0.05)
     servo = begin(limits)
     rng = np.random.default_rng(0)
     for _ in range(25):

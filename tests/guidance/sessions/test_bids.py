@@ -19,14 +19,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from guidance.forces.conditions import Guided
+from guidance.forces.conditions import GuidanceOutput
 from guidance.sessions.bids import NOT_LABELS, TRIALS, Records
 from guidance.sessions.recording import RESULTS, UNSCORED
 from guidance.simulated_users.ratings import RATINGS
 from guidance.statistics.report import gather, merge
 from guidance.statistics.tests import CONDITIONS
-from guidance.study.metrics import new_sheets
-from guidance.study.metrics import results as metrics_of
+from guidance.study.metrics import metric_values as metrics_of
+from guidance.study.metrics import new_counters
 
 FACTS = {"study_hash": "ab12" * 16, "seed": 7, "config": {"participants": 20}}
 COLUMNS = {
@@ -147,8 +147,8 @@ def test_a_study_is_laid_out_as_bids_has_it(records, folder):
 
 
 def test_trials_have_the_columns_of_the_simulated_study(records, folder):
-    weights = [f"{weight}_{part}" for weight in Guided._fields[1:] for part in ("mean", "sd")]
-    objective = list(metrics_of(new_sheets(1)))
+    weights = [f"{weight}_{part}" for weight in GuidanceOutput._fields[1:] for part in ("mean", "sd")]
+    objective = list(metrics_of(new_counters(1)))
     columns = ["user", "condition", "position", *objective, *RATINGS, "rounds", "duration_s", *weights, "seed"]
     assert columns == TRIALS and (folder / "trials.csv").read_text().strip() == ",".join(columns)
     for label in ("P02", "P01"):

@@ -6,8 +6,8 @@ import torch
 
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
-from guidance.simulated_users import NO_MENTORS, Users, load_mentors, personal_streams, sample_people
-from guidance.simulated_users.advisors import advised, mentors_of
+from guidance.simulated_users import NO_ADVISORS, SimulatedUsers, load_advisors, personal_streams, sample_people
+from guidance.simulated_users.advisors import advised_action, stack_advisors
 from tests.guidance.simulated_users.test_users import TABLE, still
 
 
@@ -25,18 +25,18 @@ def league(hidden: tuple[int, ...], inputs: str, generations: int = 5) -> League
 @pytest.mark.parametrize(("hidden", "inputs"), [((64, 64), "paddle"), ((7,), "table"), ((5, 6, 4), "paddle")])
 def test_a_mentor_says_what_its_generation_says(hidden, inputs):
     pool = league(hidden, inputs)
-    mentors, rng = mentors_of(pool), np.random.default_rng(0)
+    mentors, rng = stack_advisors(pool), np.random.default_rng(0)
     for skill, generation in ((-9.0, 0), (-0.6, 1), (0.0, 2), (0.7, 3), (9.0, 4)):
         state = rng.normal(size=12) * 0.4
         mean, _ = pool.player(generation)(torch.tensor(state, dtype=torch.float32))
-        assert advised(mentors, skill, state) == pytest.approx(mean.clamp(-1, 1).tolist(), abs=1e-5)
+        assert advised_action(mentors, skill, state) == pytest.approx(mean.clamp(-1, 1).tolist(), abs=1e-5)
 
 
 def play(mentors, ticks: int = 600, **changes) -> np.ndarray:
     people = sample_people(12, 4)
     for name, value in changes.items():
         people[name] = value
-    users = Users(people, personal_streams(12, 4), TABLE, "V1", mentors)
+    users = SimulatedUsers(people, personal_streams(12, 4), TABLE, "V1", mentors)
     zero, actions = np.zeros((12, 2)), []
     for tick in range(ticks):
         puck = (0.4 - 0.012 * (tick % 100), 0.2 * np.sin(tick / 30), -0.6, 0.1)
@@ -45,8 +45,8 @@ def play(mentors, ticks: int = 600, **changes) -> np.ndarray:
 
 
 def test_advice_changes_what_people_choose_and_no_advice_does_not():
-    mentors = mentors_of(league((16,), "paddle"))
-    alone = play(NO_MENTORS)
+    mentors = stack_advisors(league((16,), "paddle"))
+    alone = play(NO_ADVISORS)
     assert np.array_equal(alone, play(mentors, advice=0.0))
     assert not np.array_equal(alone, play(mentors, advice=0.5))
     assert np.array_equal(play(mentors), play(mentors))
@@ -64,15 +64,15 @@ def test_advice_pulls_choices_its_way():
     for advice in (0.0, 1.5):
         people = sample_people(20, 4)
         people["advice"] = advice
-        users = Users(people, personal_streams(20, 4), TABLE, "V1", mentors_of(pool))
+        users = SimulatedUsers(people, personal_streams(20, 4), TABLE, "V1", stack_advisors(pool))
         ahead.append(np.mean([users.step(still(20), np.zeros((20, 2)))[:, 0].mean() for _ in range(500)]))
     assert ahead[1] > ahead[0] + 0.2
 
 
 def test_nobody_is_nobody():
-    assert load_mentors(None) is NO_MENTORS
+    assert load_advisors(None) is NO_ADVISORS
 
 
 def test_a_file_that_is_none_is_refused(tmp_path):
     with pytest.raises(ValueError, match=r"no such file: .*nobody\.safetensors"):
-        load_mentors(tmp_path / "nobody.safetensors")
+        load_advisors(tmp_path / "nobody.safetensors")

@@ -6,33 +6,33 @@ import numpy as np
 import pytest
 import torch
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
-from airhockey_marl.players.inference import steady
+from airhockey_marl.players.inference import greedy_player
 from guidance.commands.validate_users import by_skill
-from guidance.simulated_users import Population, load_mentors, sample_people
+from guidance.simulated_users import Population, load_advisors, sample_people
 from guidance.simulated_users.validation.playstyles import FEATURES, blows, features, recognised, told_apart
-from guidance.study.demonstrations import collect
+from guidance.study.demonstrations import collect_demonstrations
 
-TABLE = Table()
+TABLE = TableSpec()
 EACH, TICKS = 10, 3000
 
 
 @pytest.fixture(scope="module")
 def opponent():
-    return steady(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(25))
+    return greedy_player(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(25))
 
 
 @pytest.fixture(scope="module")
 def mentors():
-    return load_mentors(CONF.parent / "guidance/pretrained/mentors.safetensors")
+    return load_advisors(CONF.parent / "guidance/pretrained/mentors.safetensors")
 
 
 def games(population: Population, seed: int, opponent, mentors) -> tuple[np.ndarray, list[np.ndarray]]:
     """Archetypes (n,), and the features (n, 10) of each of two games."""
     people = np.concatenate([sample_people(EACH, seed + i, population, a) for i, a in enumerate(population.archetypes)])
-    data = collect(people, opponent, 2, TICKS, TABLE, "V1", mentors, seed)
+    data = collect_demonstrations(people, opponent, 2, TICKS, TABLE, "V1", mentors, seed)
     return people["archetype"], [features(data.observation[:, game], TABLE) for game in (0, 1)]
 
 

@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 import yaml
 
-from airhockey_marl.envs.physics import LEFT, RIGHT, Table
-from airhockey_marl.envs.world import Tables
-from guidance.simulated_users import Population, Users, personal_streams, sample_people, training_people
+from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
+from airhockey_marl.envs.world import World
+from guidance.simulated_users import Population, SimulatedUsers, personal_streams, sample_people, training_people
 from guidance.simulated_users.arm import (
-    ARM,
+    ARM_STATE,
     HAND_REACH,
     STEADY,
     SUBSTEPS,
@@ -20,16 +20,16 @@ from guidance.simulated_users.arm import (
     move_arm,
     rest,
 )
-from guidance.simulated_users.intention import Intention, choose
-from guidance.simulated_users.perception import LOOK_AHEAD, LOOK_AHEAD_STEP, foresee, standard_normal
+from guidance.simulated_users.intention import Intention, sample_softmax
+from guidance.simulated_users.perception import LOOK_AHEAD, LOOK_AHEAD_STEP, predict_puck, standard_normal
 from guidance.simulated_users.population import TRAITS, LogNormal
 from guidance.simulated_users.ratings import RATINGS, SIGNALS, appraisals
-from guidance.simulated_users.state import MIND
+from guidance.simulated_users.state import USER_STATE
 from guidance.simulated_users.strokes import shot_direction, to_hand, to_table
 from guidance.simulated_users.validation.rating_anchors import ANCHORS, anchor_scales, ordered, play_anchor
 from tests import ROOT
 
-TABLE = Table()
+TABLE = TableSpec()
 CONF = yaml.safe_load((ROOT / "conf/users/default.yaml").read_text())
 SCALES = CONF["scales"]
 
@@ -43,10 +43,13 @@ def still(n: int, puck: tuple[float, ...] = (0.5, 0.1, 0.0, 0.0)) -> np.ndarray:
 
 def mirror_match(n: int, ticks: int, variant: str = "V1", force: float = 0.0, seed: int = 3):
     """Two batches play each other; a constant force in newtons along y acts on the left one."""
-    tables = Tables(n)
+    tables = World(n)
     tables.seed(seed)
     tables.new_rounds()
-    seats = [Users(sample_people(n, seed + seat), personal_streams(n, seed + seat), TABLE, variant) for seat in (0, 1)]
+    seats = [
+        SimulatedUsers(sample_people(n, seed + seat), personal_streams(n, seed + seat), TABLE, variant)
+        for seat in (0, 1)
+    ]
     seen, actions, pushes = np.zeros((n, 12)), np.zeros((n, 2, 2)), [np.zeros((n, 2)), np.zeros((n, 2))]
     pushes[LEFT][:, 1] = force
     record = {name: [] for name in ("action", "speed", "goals", "touched", "served")}
@@ -86,7 +89,10 @@ def test_two_runs_are_the_same_and_another_seed_is_not():
 def test_a_person_does_not_depend_on_who_else_is_there():
     people, streams = sample_people(5, 8), personal_streams(5, 8)
     rng = np.random.default_rng(0)
-    everyone, alone = Users(people, streams, TABLE, "V2"), Users(people[3:4], streams[3:4], TABLE, "V2")
+    everyone, alone = (
+        SimulatedUsers(people, streams, TABLE, "V2"),
+        SimulatedUsers(people[3:4], streams[3:4], TABLE, "V2"),
+    )
     for _ in range(300):
         state, force = still(5) + 0.02 * rng.standard_normal((5, 12)), rng.standard_normal((5, 2))
         together = everyone.step(state, force)[3].copy()
@@ -94,8 +100,8 @@ def test_a_person_does_not_depend_on_who_else_is_there():
 
 
 def test_people_are_blind_to_all_but_state_and_force():
-    assert list(inspect.signature(Users.step).parameters) == ["self", "state", "force", "rows"]
-    users = Users(sample_people(2, 0), personal_streams(2, 0))
+    assert list(inspect.signature(SimulatedUsers.step).parameters) == ["self", "state", "force", "rows"]
+    users = SimulatedUsers(sample_people(2, 0), personal_streams(2, 0))
     for view in (users.action, users.hand, users.hand_velocity, users.goal, users.intention):
         with pytest.raises(ValueError, match="read-only"):
             view[0] = 0
@@ -104,7 +110,7 @@ def test_people_are_blind_to_all_but_state_and_force():
 def test_what_happens_now_moves_the_hand_only_after_the_delay_of_sight():
     n, change = 40, 60
     people, streams = sample_people(n, 1), personal_streams(n, 1)
-    same, other = Users(people, streams), Users(people, streams)
+    same, other = SimulatedUsers(people, streams), SimulatedUsers(people, streams)
     zero = np.zeros((n, 2))
     first = np.full(n, -1)
     for tick in range(change + 60):
@@ -118,7 +124,7 @@ def test_what_happens_now_moves_the_hand_only_after_the_delay_of_sight():
 
 
 def test_the_arm_yields_to_a_force_by_its_stiffness():
-    person, arm = sample_people(1, 2)[0], np.zeros(1, ARM)[0]
+    person, arm = sample_people(1, 2)[0], np.zeros(1, ARM_STATE)[0]
     for stiffness in (person["stiffness"], 2 * person["stiffness"]):
         rest(arm, person)
         for _ in range(2000):
@@ -128,7 +134,7 @@ def test_the_arm_yields_to_a_force_by_its_stiffness():
 
 
 def test_the_arm_follows_a_reach_with_one_peak_of_speed():
-    person, arm = sample_people(1, 2)[0], np.zeros(1, ARM)[0]
+    person, arm = sample_people(1, 2)[0], np.zeros(1, ARM_STATE)[0]
     rest(arm, person)
     begin_plan(arm, person, 0.06, -0.03, 0.0, 0.0, 0.4)
     speed = []
@@ -145,7 +151,7 @@ def test_the_arm_follows_a_reach_with_one_peak_of_speed():
 def test_a_force_pushes_the_hand_its_way_and_about_as_far_as_stiffness_says():
     n = 30
     people, streams = sample_people(n, 4), personal_streams(n, 4)
-    passive, free = Users(people, streams, TABLE, "V0"), Users(people, streams, TABLE, "V0")
+    passive, free = SimulatedUsers(people, streams, TABLE, "V0"), SimulatedUsers(people, streams, TABLE, "V0")
     force = np.tile([0.0, 1.5], (n, 1))
     off = []
     for tick in range(500):
@@ -163,7 +169,7 @@ def test_a_force_pushes_the_hand_its_way_and_about_as_far_as_stiffness_says():
 def test_a_spring_to_a_place_does_not_shake_the_hand(variant):
     n = 60
     people, streams = sample_people(n, 5), personal_streams(n, 5)
-    held, free = Users(people, streams, TABLE, variant), Users(people, streams, TABLE, variant)
+    held, free = SimulatedUsers(people, streams, TABLE, variant), SimulatedUsers(people, streams, TABLE, variant)
     place, zero = np.tile([0.02, 0.03], (n, 1)), np.zeros((n, 2))
     speeds = []
     for tick in range(750):
@@ -181,7 +187,7 @@ def test_conflict_stiffens_and_is_resisted_only_in_v1():
     people, streams = sample_people(n, 6), personal_streams(n, 6)
     off = {}
     for variant in ("V0", "V1"):
-        users, free = Users(people, streams, TABLE, variant), Users(people, streams, TABLE, variant)
+        users, free = SimulatedUsers(people, streams, TABLE, variant), SimulatedUsers(people, streams, TABLE, variant)
         for _ in range(400):
             users.step(still(n), np.tile([0.0, 2.0], (n, 1)))
             free.step(still(n), np.zeros((n, 2)))
@@ -205,8 +211,8 @@ def test_skill_wins():
     good = sample_people(24, 1, Population.usual(skill_mean=1.5, skill_sd=0.1))
     poor = sample_people(24, 2, Population.usual(skill_mean=-1.5, skill_sd=0.1))
     for left, right, good_scores in ((good, poor, 1), (poor, good, -1)):
-        opponent = Users(right, personal_streams(24, 10))
-        tables, left_users = Tables(24), Users(left, personal_streams(24, 9))
+        opponent = SimulatedUsers(right, personal_streams(24, 10))
+        tables, left_users = World(24), SimulatedUsers(left, personal_streams(24, 9))
         tables.new_rounds()
         seen, actions, zero = np.zeros((24, 12)), np.zeros((24, 2, 2)), np.zeros((24, 2))
         for _ in range(6000):
@@ -223,7 +229,7 @@ def test_skill_wins():
 
 def test_a_new_round_puts_the_hand_back_and_keeps_the_ratings():
     n = 4
-    users = Users(sample_people(n, 7), personal_streams(n, 7), TABLE, "V2")
+    users = SimulatedUsers(sample_people(n, 7), personal_streams(n, 7), TABLE, "V2")
     for _ in range(150):
         users.step(still(n), np.ones((n, 2)))
     which = np.array([True, False, True, False])
@@ -237,12 +243,12 @@ def test_a_new_round_puts_the_hand_back_and_keeps_the_ratings():
 
 
 def test_a_bounce_is_foreseen_as_the_table_does_it():
-    person, mind, path = sample_people(1, 0)[0], np.zeros(1, MIND)[0], np.empty((LOOK_AHEAD, 4))
+    person, mind, path = sample_people(1, 0)[0], np.zeros(1, USER_STATE)[0], np.empty((LOOK_AHEAD, 4))
     person["speed_noise"] = person["heading_noise"] = 0.0
     mind["sees_bounces"] = 1
     start = np.array([0.6, 0.1, -0.9, 0.9])
-    assert foresee(person, mind, still(1, tuple(start))[0], 0.0, TABLE, path) == -1
-    tables = Tables(1)
+    assert predict_puck(person, mind, still(1, tuple(start))[0], 0.0, TABLE, path) == -1
+    tables = World(1)
     tables.bodies[0, LEFT], tables.bodies[0, RIGHT] = (-0.9, -0.4, 0, 0), (0.9, -0.4, 0, 0)
     tables.bodies[0, 2] = start
     actions = np.array([[[-1.0, -0.9], [-1.0, 0.9]]])
@@ -251,14 +257,14 @@ def test_a_bounce_is_foreseen_as_the_table_does_it():
     row = round(40 * TABLE.tick / LOOK_AHEAD_STEP)
     assert path[row] == pytest.approx(tables.bodies[0, 2], abs=0.02)
     mind["sees_bounces"] = 0
-    foresee(person, mind, still(1, tuple(start))[0], 0.0, TABLE, path)
+    predict_puck(person, mind, still(1, tuple(start))[0], 0.0, TABLE, path)
     assert path[-1, 1] == pytest.approx(TABLE.width / 2 - TABLE.puck_radius)
 
 
 @pytest.mark.parametrize("wall", [0, 1, -1])
 def test_a_shot_off_the_wall_ends_in_the_goal(wall):
     x, y, aim = -0.3, 0.12, 0.05
-    tables = Tables(1)
+    tables = World(1)
     tables.bodies[0, LEFT], tables.bodies[0, RIGHT] = (-0.9, 0.0, 0, 0), (0.2, -0.4 if wall >= 0 else 0.4, 0, 0)
     tables.bodies[0, 2] = (x, y, *(2.0 * np.array(shot_direction(x, y, wall, aim, TABLE))))
     home = np.array([[[-1.0, 0.0], [0.5, 0.85 if wall >= 0 else -0.85]]])
@@ -283,7 +289,7 @@ def test_the_hardest_acceleration_of_a_reach_is_at_its_ends():
 
 def test_choices_follow_the_softmax():
     worth, rng = np.array([0.0, 0.2, -1e9]), personal_streams(1, 5)
-    drawn = np.bincount([choose(worth, 0.2, rng, 0) for _ in range(20000)], minlength=3)
+    drawn = np.bincount([sample_softmax(worth, 0.2, rng, 0) for _ in range(20000)], minlength=3)
     assert drawn[2] == 0
     assert drawn[1] / drawn[0] == pytest.approx(np.e, rel=0.06)
 
@@ -348,14 +354,14 @@ def test_every_parameter_says_its_unit_and_where_it_comes_from():
 
 
 @pytest.fixture(scope="module")
-def anchored() -> dict[str, Users]:
+def anchored() -> dict[str, SimulatedUsers]:
     return {
         name: play_anchor(sample_people(40, 21), _copies(), name, seconds=80.0, seed=21) for name in (*ANCHORS, "none")
     }
 
 
 def _copies():
-    rivals, zero = Users(sample_people(40, 22), personal_streams(40, 22)), np.zeros((40, 2))
+    rivals, zero = SimulatedUsers(sample_people(40, 22), personal_streams(40, 22)), np.zeros((40, 2))
     return lambda state: rivals.step(state, zero)
 
 
@@ -390,7 +396,7 @@ def test_ratings_are_likert_points_and_stay_the_same_when_asked_again(anchored):
 
 def test_anchor_scales_are_plain_positive_numbers():
     people = training_people(0)
-    rivals, zero = Users(people, personal_streams(9, 1)), np.zeros((9, 2))
+    rivals, zero = SimulatedUsers(people, personal_streams(9, 1)), np.zeros((9, 2))
     scales = anchor_scales(people, lambda state: rivals.step(state, zero), seconds=30.0)
     assert set(scales) == set(SIGNALS) == set(SCALES)
     assert all(type(value) is float and value > 0 for value in scales.values())
@@ -413,9 +419,12 @@ def test_intentions_are_named_and_used():
         (lambda: Population.usual(device_mass=-1.0), "users.device_mass = -1.0"),
         (lambda: Population.usual(noise_correlation=1.5), "users.noise_correlation = 1.5"),
         (lambda: Population.usual(archetypes={"odd": (0.5, 0.5)}), "users.archetypes.odd"),
-        (lambda: Users(np.zeros(3), personal_streams(3, 0)), "people of shape"),
-        (lambda: Users(sample_people(3, 0), personal_streams(2, 0)), "streams uint64"),
-        (lambda: Users(sample_people(1, 0), personal_streams(1, 0), variant="V9"), "variant = 'V9' must be one of V0"),
+        (lambda: SimulatedUsers(np.zeros(3), personal_streams(3, 0)), "people of shape"),
+        (lambda: SimulatedUsers(sample_people(3, 0), personal_streams(2, 0)), "streams uint64"),
+        (
+            lambda: SimulatedUsers(sample_people(1, 0), personal_streams(1, 0), variant="V9"),
+            "variant = 'V9' must be one of V0",
+        ),
         (lambda: _one().step(np.zeros((1, 11)), np.zeros((1, 2))), "state of shape"),
         (lambda: _one().step(np.zeros((1, 12)), np.full((1, 2), np.nan)), "force = nan must be finite"),
         (lambda: _one().new_round(np.ones(1)), "which float64"),
@@ -429,5 +438,5 @@ def test_bad_input_is_named(build, message):
         build()
 
 
-def _one() -> Users:
-    return Users(sample_people(1, 0), personal_streams(1, 0))
+def _one() -> SimulatedUsers:
+    return SimulatedUsers(sample_people(1, 0), personal_streams(1, 0))

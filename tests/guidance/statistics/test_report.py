@@ -16,12 +16,12 @@ import pytest
 from matplotlib.colors import to_rgba
 from scipy import stats as scipy_stats
 
-from airhockey_marl.experiment.files import found_below
+from airhockey_marl.experiment.files import find_files
 from guidance.statistics.figures import COLOURS, confidence_half_width, figure6, means_beside
 from guidance.statistics.groups import Group, side_by_side
-from guidance.statistics.paper import compare_with_paper, published, summary
+from guidance.statistics.paper import compare_with_paper, count_findings, published_results
 from guidance.statistics.report import gather, merge, screen_table, write_report
-from guidance.statistics.research_questions import answers
+from guidance.statistics.research_questions import answer_questions
 from guidance.statistics.tests import CONDITIONS, METRICS, check_trials, run_tests
 from tests import ROOT
 
@@ -101,13 +101,13 @@ def test_page_loads_nothing_and_escapes(written):
 
 def test_page_says_how_much_replicates(written):
     _, tests, page = written
-    counts, text = summary(compare_with_paper(tests)), text_of(page)
+    counts, text = count_findings(compare_with_paper(tests)), text_of(page)
     assert 0 < counts.loc["all", "replicated"] < 38
     assert f"{counts.loc['all', 'replicated']} of the paper’s 38 significant comparisons replicate." in text
     for evidence in ("M", "P", "S", "S0"):
         row = counts.loc[evidence]
         assert f"{row['replicated']} / {row['cells']} {evidence} ·" in text
-    assert f"{counts.loc['none', 'wrongly_significant']} / 63 non-findings significant here" in text
+    assert f"{counts.loc['none', 'false_positives']} / 63 non-findings significant here" in text
     assert f"{counts.loc['all', 'reversed']} findings reversed" in text
     assert page.count("✓ replicated") == counts.loc["all", "replicated"]
     assert page.count("⇄ reversed") == counts.loc["all", "reversed"]
@@ -167,7 +167,7 @@ def test_some_conditions_only(trials, tmp_path, chosen, untested):
     text = text_of((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert set(re.search(r"Not tested: ([^.]*)\.", text)[1].strip().split(", ")) == untested
     testable = 0 if tests.empty else 8
-    tested = summary(compare_with_paper(tests)).loc["all", "tested"]
+    tested = count_findings(compare_with_paper(tests)).loc["all", "tested"]
     assert tested == testable
     expected = f"of the {testable} testable comparisons" if testable else "None of the paper’s 38 significant"
     assert expected in text
@@ -219,8 +219,8 @@ def test_interval_is_students(trials):
 
 def test_answers_of_the_paper():
     """From the paper's own pairs the sentences say what its section 6.1 says."""
-    grid = published("grid").fillna({"greater": ""}).assign(tested=True)
-    found = answers(grid)
+    grid = published_results("grid").fillna({"greater": ""}).assign(tested=True)
+    found = answer_questions(grid)
     assert found["RQ1"][:2] == [
         "UT in OAHG lowers mean disagreement.",
         "UA in UPHG raises helpfulness (PROXY) and controllability (PROXY).",
@@ -237,8 +237,11 @@ def test_answers_of_the_paper():
 
 
 def test_answers_without_findings():
-    grid = published("grid").assign(greater="", tested=lambda cells: cells["family"] == "OAHG")
-    assert answers(grid)["RQ1"][:2] == ["UT in OAHG changes nothing significantly.", "UA in UPHG was not tested."]
+    grid = published_results("grid").assign(greater="", tested=lambda cells: cells["family"] == "OAHG")
+    assert answer_questions(grid)["RQ1"][:2] == [
+        "UT in OAHG changes nothing significantly.",
+        "UA in UPHG was not tested.",
+    ]
 
 
 def test_screen_table_is_aligned(trials):
@@ -276,7 +279,7 @@ def test_merge_gathers_a_sweep(sweep, trials, places):
 
 def test_merge_takes_existing_names_literally(sweep):
     folder = sweep / "condition=uphg[0]"
-    assert found_below([folder, str(folder / "trials.csv")], "trials.csv") == [folder / "trials.csv"]
+    assert find_files([folder, str(folder / "trials.csv")], "trials.csv") == [folder / "trials.csv"]
 
 
 def test_merge_refuses_the_same_game_twice(sweep, trials):
@@ -367,9 +370,9 @@ def test_withdrawn_proxies_count_for_nothing(trials, tmp_path):
     page = (less / "report.html").read_text()
     assert "Withdrawn:" in page and "Withdrawn:" not in (whole / "report.html").read_text()
     counted, all_counted = (
-        summary(compare_with_paper(tests, withdrawn)) for withdrawn in (["comfort", "helpfulness"], [])
+        count_findings(compare_with_paper(tests, withdrawn)) for withdrawn in (["comfort", "helpfulness"], [])
     )
-    proxies = published("findings")["metric"].isin(["comfort", "helpfulness"])
+    proxies = published_results("findings")["metric"].isin(["comfort", "helpfulness"])
     assert all_counted.loc["all", "tested"] - counted.loc["all", "tested"] == proxies.sum() > 0
     assert counted.loc["M"].equals(all_counted.loc["M"])
     answered = page[page.index("<h4>Here</h4>") : page.index("<h4>Paper</h4>")]
@@ -420,7 +423,7 @@ def test_what_people_say_is_a_rating(trials, tmp_path):
     assert "PROXY" not in svg and "PROXY" in (tmp_path / "simulated" / "figure6.svg").read_text()
     assert "PROXY" not in screen_table(trials, people=True)
     assert {len(line) for line in screen_table(trials, people=True).splitlines()} == {97}
-    withdrawn = summary(compare_with_paper(tests, ["comfort"])).loc["all", "tested"]
+    withdrawn = count_findings(compare_with_paper(tests, ["comfort"])).loc["all", "tested"]
     assert withdrawn < 38 and "comparisons among" not in text  # all 38 count
 
 
@@ -477,7 +480,7 @@ def test_families_that_too_few_people_have_finished_are_named(tmp_path):
     text = text_of(page_of(tmp_path / "all"))
     assert "Not tested: within UPHG, within CombHG, types. Fewer than three" in text
     assert tests.loc[tests["family"] == "OAHG", "p"].notna().all()
-    counts = summary(compare_with_paper(tests))
+    counts = count_findings(compare_with_paper(tests))
     assert counts.loc["all", "tested"] == 1 and "of the 1 testable comparisons" in text
     some = unfinished(4).query("condition in ['nhg', 'oahg', 'oahg_ut']")
     write_report(some, tmp_path / "some", PEOPLE)
@@ -522,7 +525,7 @@ def test_two_groups_stand_side_by_side(groups, tmp_path):
     assert outcomes.eq("withdrawn").any() and not mine.eq("withdrawn").any()
     findings = re.findall(r"<tr[^>]*>(.*?)</tr>", section[section.index("38 findings") :], flags=re.DOTALL)[2:]
     proxies = [len(re.findall("PROXY", row)) for row in findings]
-    assert proxies == published("findings")["kind"].eq("subjective").astype(int).tolist()
+    assert proxies == published_results("findings")["kind"].eq("subjective").astype(int).tolist()
     sources = re.findall(r'src="data:image/svg\+xml;base64,([^"]*)"', page)
     assert [base64.b64decode(source) for source in sources] == [
         (tmp_path / name).read_bytes() for name in ("figure6.svg", "beside.svg")
@@ -535,7 +538,7 @@ def test_counts_side_by_side_are_of_findings_that_both_tested(groups):
     people, simulated = groups
     both = side_by_side(people, simulated)
     assert sum(both["counts"].values()) == 38
-    assert both["counts"]["untested"] == published("findings")["metric"].eq("helpfulness").sum()
+    assert both["counts"]["untested"] == published_results("findings")["metric"].eq("helpfulness").sum()
     for row in both["findings"]:
         ours, theirs = row["rows"]
         assert ours["id"] == theirs["id"] == row["id"] and {row["paper_greater"], row["less"]} == {row["x"], row["y"]}

@@ -173,9 +173,9 @@ def test_bonferroni_and_gate():
     anova = tests[tests["test"] == "rm_anova"].set_index(["family", "metric"])["p_corrected"]
     opened = anova.loc[pd.MultiIndex.from_frame(posthoc[["family", "metric"]])].to_numpy() < 0.05
     assert 0 < opened.sum() < len(opened)  # both kinds occur
-    assert (posthoc["gated"] == ~opened).all()
+    assert (posthoc["anova_not_significant"] == ~opened).all()
     assert (posthoc["significant"] == (opened & (posthoc["p_corrected"] < 0.05))).all()
-    assert (posthoc["gated"] & (posthoc["p_corrected"] < 0.05)).any()  # a gate that matters
+    assert (posthoc["anova_not_significant"] & (posthoc["p_corrected"] < 0.05)).any()  # a gate that matters
 
 
 def test_missing_value_is_listwise_within_family_and_metric():
@@ -246,7 +246,7 @@ def test_two_identical_conditions_of_three():
     ].to_numpy()
     tests = stats.run_tests(trials)
     same = tests[(tests["x"] == "d") & (tests["y"] == "e")]
-    assert same["statistic"].isna().all() and not same["significant"].any() and not same["gated"].any()
+    assert same["statistic"].isna().all() and not same["significant"].any() and not same["anova_not_significant"].any()
     assert tests.loc[tests["test"] == "rm_anova", "significant"].all()
 
 
@@ -286,7 +286,7 @@ def test_comparison_with_the_paper():
     outcome = comparison.set_index(["family", "metric", "x", "y"])["outcome"]
     assert outcome["UPHG", "win_rate", "d", "f"] == "replicated"
     assert outcome["types", "win_rate", "a", "c"] == "replicated"
-    assert outcome["UPHG", "win_rate", "d", "e"] == "wrongly_significant"
+    assert outcome["UPHG", "win_rate", "d", "e"] == "false_positives"
     assert outcome["UPHG", "mean_disagreement", "d", "f"] == "replicated"
     assert outcome["OAHG", "mean_disagreement", "b", "c"] == "not_significant"
     assert outcome["CombHG", "win_rate", "g", "h"] == "agrees"
@@ -309,7 +309,7 @@ def test_summary_counts_every_cell_once():
     classes = counts.loc[["M", "P", "S", "S0"]]
     assert (classes.sum() == counts.loc["all"]).all()
     assert counts.loc["all", "replicated"] == (comparison["outcome"] == "replicated").sum() > 4
-    assert counts.loc["none", "wrongly_significant"] == (comparison["outcome"] == "wrongly_significant").sum() > 0
+    assert counts.loc["none", "false_positives"] == (comparison["outcome"] == "false_positives").sum() > 0
     assert counts.loc["none", ["replicated", "reversed"]].sum() == 0
 
 

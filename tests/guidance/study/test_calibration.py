@@ -7,12 +7,12 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import InputError
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.commands import calibrate
 from guidance.forces.equations import uncertainty_weight
-from guidance.study.calibration import fitting_opponent, leads_of, stiffest, threshold
+from guidance.study.calibration import max_stable_stiffness, select_opponent, target_lead, threshold
 from guidance.study.models import Models
 
 
@@ -32,21 +32,21 @@ def test_the_opponent_is_the_newest_within_both_ranges():
         10: {"win_rate": 0.40, "round_seconds": 20.0},
         15: {"win_rate": 0.40, "round_seconds": 60.0},
     }
-    assert fitting_opponent(trials, [0.35, 0.55], [12, 25]) == 10
+    assert select_opponent(trials, [0.35, 0.55], [12, 25]) == 10
     with pytest.raises(InputError, match="no generation"):
-        fitting_opponent(trials, [0.6, 0.7], [12, 25])
+        select_opponent(trials, [0.6, 0.7], [12, 25])
 
 
 def test_the_stiffest_spring_leaves_the_least_damped_hand_its_share():
     lead, damping = np.array([0.1, 0.05, -0.02]), np.array([8.0, 3.0, 1.0])
-    assert stiffest(lead, damping, share=0.8, of_people=0.95, step=1.0) == 48.0  # 0.8 * 3 / 0.05
-    assert stiffest(lead, damping, share=0.8, of_people=0.5, step=1.0) == 64.0
-    assert stiffest(lead, damping, share=0.8, of_people=0.95, step=10.0) == 40.0
+    assert max_stable_stiffness(lead, damping, share=0.8, of_people=0.95, step=1.0) == 48.0  # 0.8 * 3 / 0.05
+    assert max_stable_stiffness(lead, damping, share=0.8, of_people=0.5, step=1.0) == 64.0
+    assert max_stable_stiffness(lead, damping, share=0.8, of_people=0.95, step=10.0) == 40.0
 
 
 def test_the_lead_of_a_model_that_extrapolates_is_its_look_ahead():
     """A hand that its paddle follows at once, and a model that says: where the paddle is."""
-    table, tick = Table(), Table().tick
+    table, tick = TableSpec(), TableSpec().tick
     at = 0.5 * torch.sin(torch.arange(2000)[:, None] * torch.tensor([[0.02, 0.03]]))
     half = torch.tensor([table.length / 4 - table.paddle_radius, table.width / 2 - table.paddle_radius])
     paddle = at * half
@@ -62,7 +62,7 @@ def test_the_lead_of_a_model_that_extrapolates_is_its_look_ahead():
             linear.head.weight[axis, 2 * axis], linear.head.weight[axis, 2 * axis + 1] = scale, -scale
     models = Models(linear, linear, linear, 1e-9, {})
     for seconds in (0.0, 0.1):
-        (lead,) = leads_of(models, [(observation, at)] * 2, 2, seconds)
+        (lead,) = target_lead(models, [(observation, at)] * 2, 2, seconds)
         assert lead == pytest.approx(seconds, abs=2e-3)
 
 

@@ -6,16 +6,16 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from airhockey_marl.envs.physics import PUCK, Table, tick
-from guidance.study.metrics import Moments, disagreement, heads_for_goal, new_sheets, record, results
+from airhockey_marl.envs.physics import PUCK, TableSpec, step_physics
+from guidance.study.metrics import RunningMoments, disagreement, heads_for_goal, metric_values, new_counters, record
 
-TABLE = Table()
+TABLE = TableSpec()
 MINE, THEIRS = 1, 2
 
 
 def play(*ticks: dict) -> dict[str, float]:
     """Enter a game of ticks, each: puck before and after (x, y, vx, vy), who touched, goal, served, disagreement."""
-    sheets = new_sheets(1)
+    sheets = new_counters(1)
     for entry in ticks:
         record(
             sheets,
@@ -28,7 +28,7 @@ def play(*ticks: dict) -> dict[str, float]:
             np.array([entry.get("disagreed", 0.0)]),
             TABLE,
         )
-    return {name: values[0] for name, values in results(sheets).items()}
+    return {name: values[0] for name, values in metric_values(sheets).items()}
 
 
 COMING, SAVED = (-0.3, 0.0, -2.0, 0.0), (-0.5, 0.0, 2.0, 0.5)
@@ -77,13 +77,13 @@ def test_unscored_ticks_leave_no_trace():
 
 @given(st.floats(-0.9, 0.9), st.floats(-0.45, 0.45), st.floats(-8, -0.5), st.floats(-8, 8))
 def test_extrapolated_crossing_is_what_an_empty_table_does(x, y, vx, vy):
-    empty = Table(drag=0.0, friction=0.0, paddle_radius=1e-6)
+    empty = TableSpec(drag=0.0, friction=0.0, paddle_radius=1e-6)
     bodies = np.array([[-0.97, -0.51, 0, 0], [0.97, 0.51, 0, 0], [x, y, vx, vy]], dtype=float)
     predicted, target = heads_for_goal(x, y, vx, vy, empty), bodies[:2, :2].copy()
     near_a_post = False
     goal = 0
     while goal == 0 and bodies[PUCK, 2] < 0:
-        goal, _ = tick(bodies, target, empty)
+        goal, _ = step_physics(bodies, target, empty)
         gap = np.hypot(bodies[PUCK, 0] + empty.length / 2, abs(bodies[PUCK, 1]) - empty.goal / 2)
         near_a_post = near_a_post or gap < 2.5 * empty.puck_radius
     if not near_a_post:  # what a post does is not foreseen
@@ -103,7 +103,7 @@ def test_moments_agree_with_numpy():
     values = np.random.default_rng(0).normal(3, 2, (40, 5))
     counted = np.random.default_rng(1).random((40, 5)) < 0.7
     counted[:, 4] = False
-    moments = Moments(5)
+    moments = RunningMoments(5)
     for which, value in zip(counted, values, strict=True):
         moments.add(np.arange(5), np.where(which, value, np.nan))
     mean, sd = moments.result()

@@ -10,7 +10,7 @@ from airhockey_marl.experiment.files import sha256
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.study.models import Models, load_user_model, save_user_model
-from guidance.user_model.maml import forward_each
+from guidance.user_model.maml import forward_stacked
 
 LEAGUE = ROOT / "airhockey_marl" / "pretrained"
 USER = ROOT / "guidance" / "pretrained"
@@ -48,8 +48,8 @@ def test_adaptation_is_each_users_own_however_long_the_game():
     together, alone = models.adapted_to(games), models.adapted_to(games[1:])
     assert together.batch_size == (2,)
     seen = torch.randn(1, 3, 12)
-    assert torch.equal(forward_each(model, together[1:], seen)[0], forward_each(model, alone, seen)[0])
-    assert not torch.equal(forward_each(model, together[:1], seen)[0], forward_each(model, alone, seen)[0])
+    assert torch.equal(forward_stacked(model, together[1:], seen)[0], forward_stacked(model, alone, seen)[0])
+    assert not torch.equal(forward_stacked(model, together[:1], seen)[0], forward_stacked(model, alone, seen)[0])
 
 
 def test_a_model_without_meta_learning_cannot_adapt():

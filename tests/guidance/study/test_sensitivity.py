@@ -8,7 +8,7 @@ from omegaconf import OmegaConf
 
 from airhockey_marl.experiment.command import CONF
 from guidance.simulated_users import Population, sample_people
-from guidance.study.sensitivity import changed, latin_hypercube
+from guidance.study.sensitivity import latin_hypercube, scale_assumptions
 
 PARAMETERS = list(OmegaConf.load(CONF / "replicate.yaml").sensitivity.parameters)
 SPREADS = {  # how widely people or measurements spread, not what they are like
@@ -27,7 +27,7 @@ def test_every_slice_of_every_range_is_used_once():
 
 def test_no_change_leaves_people_as_they_are():
     usual = Population.usual()
-    same = changed(usual, dict.fromkeys(PARAMETERS, 1.0))
+    same = scale_assumptions(usual, dict.fromkeys(PARAMETERS, 1.0))
     assert np.array_equal(sample_people(20, 3, usual), sample_people(20, 3, same))
 
 
@@ -36,17 +36,17 @@ def test_each_assumption_changes_people_and_stays_valid():
     before = sample_people(30, 3, usual)
     for name in PARAMETERS:
         for factor in (1 / 1.5, 1.5):
-            people = sample_people(30, 3, changed(usual, {name: factor}))
+            people = sample_people(30, 3, scale_assumptions(usual, {name: factor}))
             assert not np.array_equal(before, people), name
 
 
 def test_laws_keep_their_shape_and_shares_their_limit():
     usual = Population.usual()
-    law = changed(usual, {"dwell": 1.4}).dwell
+    law = scale_assumptions(usual, {"dwell": 1.4}).dwell
     assert law == pytest.approx((1.4 * 0.21, 0.2, 1.4 * 0.15, 1.4 * 0.30, -0.3))
-    assert changed(usual, {"resistance": 1.5}).resistance.scale == 1.0
-    assert changed(usual, {"aim_widest": 1.5}).aim_widest == 1.0
-    before, after = usual.worth["near_smash"], changed(usual, {"worth.near_smash": np.e}).worth["near_smash"]
+    assert scale_assumptions(usual, {"resistance": 1.5}).resistance.scale == 1.0
+    assert scale_assumptions(usual, {"aim_widest": 1.5}).aim_widest == 1.0
+    before, after = usual.worth["near_smash"], scale_assumptions(usual, {"worth.near_smash": np.e}).worth["near_smash"]
     assert after[0] == pytest.approx(before[0] + 1) and list(after[1:]) == list(before[1:])
 
 
@@ -69,9 +69,9 @@ def test_what_is_assumed_is_what_is_marked_so():
         (lambda: latin_hypercube(["a"], 0, 1.5, 0), r"sensitivity\.points = 0"),
         (lambda: latin_hypercube(["a"], 3, 1.0, 0), r"sensitivity\.largest = 1\.0"),
         (lambda: latin_hypercube(["a", "a"], 3, 1.5, 0), "a more than once"),
-        (lambda: changed(Population.usual(), {"courage": 1.1}), "courage is not a parameter"),
-        (lambda: changed(Population.usual(), {"worth.courage": 1.1}), r"worth\.courage is not a parameter"),
-        (lambda: changed(Population.usual(), {"archetypes": 1.1}), "archetypes is not a parameter"),
+        (lambda: scale_assumptions(Population.usual(), {"courage": 1.1}), "courage is not a parameter"),
+        (lambda: scale_assumptions(Population.usual(), {"worth.courage": 1.1}), r"worth\.courage is not a parameter"),
+        (lambda: scale_assumptions(Population.usual(), {"archetypes": 1.1}), "archetypes is not a parameter"),
     ],
 )
 def test_wrong_settings_are_named(call, message):

@@ -8,27 +8,27 @@ import numpy as np
 import pytest
 import torch
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.players.players import confident
-from guidance.forces.conditions import Combined, Condition, NoGuidance, Spring, Thresholds, Toward
-from guidance.simulated_users import NO_MENTORS, Users, sample_people
-from guidance.study.batched_guidance import Guide
+from airhockey_marl.players.players import greedy
+from guidance.forces.conditions import CombinedGuidance, Condition, NoGuidance, Spring, SpringGuidance, Thresholds
+from guidance.simulated_users import NO_ADVISORS, SimulatedUsers, sample_people
+from guidance.study.batched_guidance import BatchedGuidance
 from guidance.study.games import no_force, play_games
 from guidance.study.models import Models
-from guidance.study.protocol import Protocol, balanced, order_of, streams, williams
+from guidance.study.protocol import Protocol, counterbalanced_order, is_balanced, spawn_rng_states, williams_design
 from guidance.study.study import Cohort, run_studies, run_study
 
 SHORT = Protocol(familiarisation=0.2, rounds=2, extra_rounds=1, min_seconds=4, round_seconds=3)
 SPRING, UT = Spring(50.0, 3.0, 0.075), Thresholds(0.3, 0.6)
 NHG = Condition("nhg", "a", "NHG", NoGuidance())
-OAHG = Condition("oahg", "b", "OAHG (vanilla)", Toward("optimal", SPRING))
-UPHG_UA = Condition("uphg_ua", "e", "UPHG (UA)", Toward("adapted", SPRING))
+OAHG = Condition("oahg", "b", "OAHG (vanilla)", SpringGuidance("optimal", SPRING))
+UPHG_UA = Condition("uphg_ua", "e", "UPHG (UA)", SpringGuidance("adapted", SPRING))
 COMBHG = Condition(
     "combhg_ut_ua_sc",
     "i",
     "CombHG (UT+UA+SC)",
-    Combined(Toward("optimal", SPRING, UT), Toward("adapted", SPRING, UT), similarity=True),
+    CombinedGuidance(SpringGuidance("optimal", SPRING, UT), SpringGuidance("adapted", SPRING, UT), similarity=True),
 )
 SCALES = dict.fromkeys(
     ("conflict", "unsupported", "supportive_power", "deviation", "effort", "jerk", "surprise", "hindsight"), 1.0
@@ -47,7 +47,7 @@ def opponent(observation: torch.Tensor) -> torch.Tensor:
 
 
 def study(models, conditions, protocol=SHORT, people=3, seed=0, **kwargs):
-    people, how = sample_people(people, 100), (Table(), "V1", NO_MENTORS, SCALES)
+    people, how = sample_people(people, 100), (TableSpec(), "V1", NO_ADVISORS, SCALES)
     return run_study(people, conditions, models, opponent, 0.1, protocol, *how, seed=seed, **kwargs)
 
 
@@ -59,8 +59,8 @@ def test_the_same_seed_gives_the_same_trials(models):
 
 def test_no_force_is_nhg_bit_for_bit(models):
     """A spring without stiffness, weighed and combined as in (i), leaves no trace in anything that was played."""
-    slack = Toward("optimal", Spring(0.0, 3.0, 0.075), UT)
-    nothing = Condition("nothing", "a", "nothing", Combined(slack, slack, similarity=True))
+    slack = SpringGuidance("optimal", Spring(0.0, 3.0, 0.075), UT)
+    nothing = Condition("nothing", "a", "nothing", CombinedGuidance(slack, slack, similarity=True))
     nhg, none = study(models, [NHG]), study(models, [nothing])
     played = [c for c in nhg.columns if not c.startswith("w_") and c != "condition"]
     assert nhg[played].equals(none[played])
@@ -77,14 +77,14 @@ def test_a_condition_is_played_alike_alone_and_among_others(models):
 def test_a_study_is_played_alike_alone_and_beside_others(models):
     """A hundred people are enough for the kernels to run on several threads."""
     cohorts = [Cohort(sample_people(n, n), n) for n in (3, 100, 4)]
-    how = ([NHG, OAHG, COMBHG], models, opponent, 0.1, SHORT, Table(), "V1", NO_MENTORS, SCALES)
+    how = ([NHG, OAHG, COMBHG], models, opponent, 0.1, SHORT, TableSpec(), "V1", NO_ADVISORS, SCALES)
     for cohort, trials in zip(cohorts, run_studies(cohorts, *how), strict=True):
         assert trials.equals(run_studies([cohort], *how)[0])
 
 
 def test_swapped_demonstrations_change_ua_and_nothing_else(models):
     cohorts = [Cohort(sample_people(n, n), n) for n in (3, 2)]
-    how = ([NHG, OAHG, UPHG_UA], models, opponent, 0.1, SHORT, Table(), "V1", NO_MENTORS, SCALES)
+    how = ([NHG, OAHG, UPHG_UA], models, opponent, 0.1, SHORT, TableSpec(), "V1", NO_ADVISORS, SCALES)
     for own, swapped in zip(run_studies(cohorts, *how), run_studies(cohorts, *how, swapped=True), strict=True):
         ua = own["condition"] == "uphg_ua"
         assert own[~ua].equals(swapped[~ua])
@@ -92,7 +92,7 @@ def test_swapped_demonstrations_change_ua_and_nothing_else(models):
 
 
 def test_nine_orders_are_balanced_over_multiples_of_eighteen():
-    assert balanced(36, 9) and not balanced(20, 9) and balanced(20, 4)
+    assert is_balanced(36, 9) and not is_balanced(20, 9) and is_balanced(20, 4)
 
 
 def test_a_condition_beyond_the_nine_comes_after_them(models):
@@ -122,8 +122,8 @@ def test_a_game_has_its_rounds_and_its_extra_rounds_only_while_it_is_short():
     people = sample_people(4, 100)
 
     def play(protocol):
-        users = Users(people, streams(0, range(4), 0, 0))
-        return play_games(users, opponent, no_force, protocol, Table(), streams(0, range(4), 0, 1))
+        users = SimulatedUsers(people, spawn_rng_states(0, range(4), 0, 0))
+        return play_games(users, opponent, no_force, protocol, TableSpec(), spawn_rng_states(0, range(4), 0, 1))
 
     timed = Protocol(familiarisation=0, rounds=2, extra_rounds=3, min_seconds=0, round_seconds=0.5)
     games = play(timed)
@@ -136,9 +136,9 @@ def test_a_game_has_its_rounds_and_its_extra_rounds_only_while_it_is_short():
 
 def test_demonstrations_are_the_scored_play():
     people = sample_people(3, 100)
-    users = Users(people, streams(0, range(3), 0, 0))
+    users = SimulatedUsers(people, spawn_rng_states(0, range(3), 0, 0))
     protocol = Protocol(1.0, 2, 0, 0, 1.0)
-    games = play_games(users, opponent, no_force, protocol, Table(), streams(0, range(3), 0, 1), True)
+    games = play_games(users, opponent, no_force, protocol, TableSpec(), spawn_rng_states(0, range(3), 0, 1), True)
     for seconds, (observation, action) in zip(games.seconds, games.demonstrations, strict=True):
         assert len(observation) == len(action) == round(seconds / 0.02)
         assert observation.shape[1] == 12 and action.abs().max() <= 1
@@ -154,10 +154,10 @@ def test_guidance_really_guides():
     n, people = 30, sample_people(30, 100)
 
     def mean_action(condition):
-        users = Users(people, streams(0, range(n), 0, 0))
-        guide = Guide([condition], n, models, None, 0.1)
+        users = SimulatedUsers(people, spawn_rng_states(0, range(n), 0, 0))
+        guide = BatchedGuidance([condition], n, models, None, 0.1)
         protocol = Protocol(0, 1, 0, 0, 20)
-        games = play_games(users, opponent, guide, protocol, Table(), streams(0, range(n), 0, 1), True)
+        games = play_games(users, opponent, guide, protocol, TableSpec(), spawn_rng_states(0, range(n), 0, 1), True)
         return torch.cat([action for _, action in games.demonstrations]).mean(0)
 
     shift = mean_action(OAHG) - mean_action(NHG)
@@ -165,12 +165,14 @@ def test_guidance_really_guides():
 
 
 def test_guide_rows_are_conditions_by_users(models):
-    guide = Guide([NHG, OAHG, COMBHG], 4, models, models.adapted_to([(torch.randn(9, 12), torch.randn(9, 2))] * 4), 0.0)
+    guide = BatchedGuidance(
+        [NHG, OAHG, COMBHG], 4, models, models.adapted_to([(torch.randn(9, 12), torch.randn(9, 2))] * 4), 0.0
+    )
     state, action = np.random.default_rng(0).normal(size=(2, 12, 12))
     action = action[:, :2]
     guided = guide(state, action)
     assert guided.force.shape == (12, 2) and not guided.force[:4].any()
-    mean = confident(models.optimal)(torch.from_numpy(state[4:8]).float())
+    mean = greedy(models.optimal)(torch.from_numpy(state[4:8]).float())
     expected = SPRING.force(torch.from_numpy(action[4:8]).float(), mean)
     assert torch.allclose(guided.force[4:8].float(), expected, atol=1e-6)
     assert guided.w_sim[:8].isnan().all() and guided.w_sim[8:].isfinite().all()
@@ -180,14 +182,14 @@ def test_adaptation_is_needed_where_ua_is():
     torch.manual_seed(0)
     model = GaussianPolicy([4])
     with pytest.raises(ValueError, match="adapted"):
-        Guide([UPHG_UA], 2, Models(model, model, model, 0.1, {}), None, 0.1)
+        BatchedGuidance([UPHG_UA], 2, Models(model, model, model, 0.1, {}), None, 0.1)
     with pytest.raises(ValueError, match=r"guidance\.lookahead = -1"):
-        Guide([NHG], 2, Models(model, model, model, 0.1, {}), None, -1)
+        BatchedGuidance([NHG], 2, Models(model, model, model, 0.1, {}), None, -1)
 
 
 @pytest.mark.parametrize("conditions", [2, 4, 9])
 def test_a_williams_design_balances_order_and_what_comes_before(conditions):
-    design = williams(conditions)
+    design = williams_design(conditions)
     assert all(sorted(row) == list(range(conditions)) for row in design)
     at = Counter((position, c) for row in design for position, c in enumerate(row))
     before = Counter((a, b) for row in design for a, b in pairwise(row))
@@ -196,7 +198,7 @@ def test_a_williams_design_balances_order_and_what_comes_before(conditions):
 
 
 def test_orders_are_balanced_over_a_multiple_of_the_design():
-    position = order_of(36, 9, seed=0)
+    position = counterbalanced_order(36, 9, seed=0)
     assert position.shape == (36, 9) and all(sorted(row) == list(range(1, 10)) for row in position)
     assert all(Counter(position[:, c]) == Counter(dict.fromkeys(range(1, 10), 4)) for c in range(9))
 

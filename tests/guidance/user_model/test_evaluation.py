@@ -10,7 +10,7 @@ import pytest
 import torch
 from torch import nn
 
-from airhockey_marl.envs.physics import Table, reach
+from airhockey_marl.envs.physics import TableSpec, action_range
 from guidance.commands import prediction_report
 from guidance.study.models import Models
 from guidance.user_model.data import Demonstrations
@@ -30,8 +30,8 @@ from guidance.user_model.evaluation import (
 from guidance.user_model.maml import parameters
 from tests.guidance.user_model.test_training import ALPHA, Gaussian
 
-TABLE = Table()
-MIDDLE, HALF = (torch.tensor(part, dtype=torch.float32) for part in reach(TABLE))
+TABLE = TableSpec()
+MIDDLE, HALF = (torch.tensor(part, dtype=torch.float32) for part in action_range(TABLE))
 
 
 def gliding(ticks: int = 400, lead: float = 0.06) -> tuple[torch.Tensor, torch.Tensor]:

@@ -14,7 +14,7 @@ from torch.nn.functional import linear
 from torch.testing import assert_close
 
 from guidance.examples.sinusoid import errors_after, main, network, train
-from guidance.user_model.maml import MAML, adapt, adapt_each, forward, forward_each, meta_loss, parameters
+from guidance.user_model.maml import MAML, adapt, adapt_stacked, forward, forward_stacked, meta_loss, parameters
 
 LR = 0.1
 exact = partial(assert_close, rtol=1e-12, atol=1e-12)
@@ -177,7 +177,7 @@ def test_first_order_is_another_gradient_but_the_same_value(model, loss):
 @step_counts
 def test_vmap_over_users_equals_a_loop(model, loss, steps, first_order):
     demo, params = users(5, seed=6), parameters(model)
-    stacked = adapt_each(params, loss, demo, LR, steps, first_order)
+    stacked = adapt_stacked(params, loss, demo, LR, steps, first_order)
     assert stacked.batch_size == (5,)
     for i, (x, y) in enumerate(zip(*demo, strict=True)):
         one = adapt(params, lambda theta, x=x, y=y: loss(theta, (x, y)), LR, steps, first_order)
@@ -185,8 +185,8 @@ def test_vmap_over_users_equals_a_loop(model, loss, steps, first_order):
 
 
 def test_forward_each_gives_every_user_his_own_model(model, loss):
-    stacked, (x, _) = adapt_each(parameters(model), loss, users(3, seed=7), LR), users(3, seed=8)
-    mean, std = forward_each(model, stacked, x)
+    stacked, (x, _) = adapt_stacked(parameters(model), loss, users(3, seed=7), LR), users(3, seed=8)
+    mean, std = forward_stacked(model, stacked, x)
     assert mean.shape == std.shape == (3, 8, 2)
     for i in range(3):
         exact((mean[i], std[i]), forward(model, stacked[i], x[i]))
@@ -194,7 +194,7 @@ def test_forward_each_gives_every_user_his_own_model(model, loss):
 
 
 def test_adapted_parameters_fit_tensordict_to_module(model, loss):
-    stacked, (x, _) = adapt_each(parameters(model), loss, users(3, seed=7), LR), users(3, seed=8)
+    stacked, (x, _) = adapt_stacked(parameters(model), loss, users(3, seed=7), LR), users(3, seed=8)
     expected = forward(model, stacked[1], x[1])
     with stacked[1].to_module(model, preserve_module_state=False):
         exact(model(x[1]), expected)
@@ -221,8 +221,8 @@ def unchanged(model, before):
 def test_adaptation_does_not_touch_the_model(model, loss):
     before = snapshot(model)
     demo = users(2, seed=9)
-    adapted = adapt_each(parameters(model), loss, demo, LR, steps=2)
-    forward_each(model, adapted, demo[0])
+    adapted = adapt_stacked(parameters(model), loss, demo, LR, steps=2)
+    forward_stacked(model, adapted, demo[0])
     learner = MAML(model, LR).clone()
     learner.adapt(error(learner(demo[0]), demo[1]))
     assert unchanged(model, before)
@@ -237,7 +237,7 @@ def test_a_call_that_raises_does_not_touch_the_model(model, loss):
 
 def test_without_a_graph_nothing_requires_grad(model, loss):
     with torch.no_grad():
-        adapted = adapt_each(parameters(model), loss, users(2, seed=9), LR)
+        adapted = adapt_stacked(parameters(model), loss, users(2, seed=9), LR)
     assert not any(leaf.requires_grad for leaf in adapted.values(include_nested=True, leaves_only=True))
 
 
@@ -326,11 +326,11 @@ def test_bad_input_is_refused_by_name(model, loss):
         MAML(model, LR).adapt(torch.zeros(2, requires_grad=True))
     with pytest.raises(ValueError, match=r"^loss: .*that requires grad"):
         MAML(model, LR).adapt(torch.tensor(1.0))
-    stacked = adapt_each(parameters(model), loss, users(2, seed=14), LR)
+    stacked = adapt_stacked(parameters(model), loss, users(2, seed=14), LR)
     with pytest.raises(ValueError, match=r"^inputs: shape \(3, 8, 3\), must"):
-        forward_each(model, stacked, users(3, seed=15)[0])
+        forward_stacked(model, stacked, users(3, seed=15)[0])
     with pytest.raises(ValueError, match=r"^inputs: .*must"):
-        forward_each(model, parameters(model), users(3, seed=15)[0])
+        forward_stacked(model, parameters(model), users(3, seed=15)[0])
 
 
 def learn_sinusoids(meta_steps):

@@ -2,11 +2,11 @@
 
 import torch
 
-from airhockey_marl.envs.physics import Table
+from airhockey_marl.envs.physics import TableSpec
 from guidance.simulated_users.arm import HAND_REACH
 from guidance.user_model.rounds import action_ahead, hand_speed, round_begins
 
-TABLE = Table()
+TABLE = TableSpec()
 
 
 def play(ticks: int, *begins: int) -> tuple[torch.Tensor, torch.Tensor]:

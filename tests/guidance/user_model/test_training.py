@@ -12,7 +12,7 @@ from torch.testing import assert_close
 
 from guidance.user_model.data import Demonstrations
 from guidance.user_model.loss import prediction_loss
-from guidance.user_model.maml import forward_each, parameters
+from guidance.user_model.maml import forward_stacked, parameters
 from guidance.user_model.training import adapt_to_user, train_maml, train_supervised
 
 USERS, GAMES, TICKS, BLOCK = 4, 4, 100, 50
@@ -191,7 +191,7 @@ def cross_losses(model, data):
     users, losses = len(data.action), []
     with torch.no_grad():
         for observation, action in zip(data.observation[:, 1], data.action[:, 1], strict=True):
-            means, stds = forward_each(model, adapted, observation.expand(users, -1, -1))
+            means, stds = forward_stacked(model, adapted, observation.expand(users, -1, -1))
             own = [prediction_loss(mean, std, action) for mean, std in zip(means, stds, strict=True)]
             losses.append(torch.stack([*own, prediction_loss(*model(observation), action)]))
     table = torch.stack(losses)
@@ -216,7 +216,7 @@ def test_maml_metrics_are_means_over_users(model):
     )  # one step, known data
     adapted = adapt_to_user(model, parameters(model), same.observation[:, 0], same.action[:, 0], ALPHA)
     with torch.no_grad():
-        after = prediction_loss(*forward_each(model, adapted, same.observation[:, 0]), same.action[:, 0]).item()
+        after = prediction_loss(*forward_stacked(model, adapted, same.observation[:, 0]), same.action[:, 0]).item()
         before = prediction_loss(*model(same.observation[:, 0]), same.action[:, 0]).item()
     (metrics,) = train_maml(model, same, epochs=1, block=BLOCK, inner_lr=ALPHA)
     assert metrics == {
