@@ -17,7 +17,7 @@ from torchrl.objectives import ClipPPOLoss
 
 from airhockey_marl.algorithms.advantages import advantages
 from airhockey_marl.algorithms.trpo import kl_divergence
-from airhockey_marl.experiment.validation import check_counts, check_numbers, check_view, labelled
+from airhockey_marl.experiment.validation import check_counts, check_numbers, check_view, labeled
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class PPOConfig:
     critic: Callable[[], nn.Module]
 
     def __post_init__(self) -> None:
-        check_counts(**labelled(self, "algorithm", "epochs", "minibatch"))
-        check_numbers(above=0.0, **labelled(self, "algorithm", "lr", "critic_coef", "max_grad_norm"))
-        check_numbers(above=0.0, at_most=1.0, **labelled(self, "algorithm", "clip", "gae_lambda"))
-        check_numbers(0.0, **labelled(self, "algorithm", "entropy_coef"))
+        check_counts(**labeled(self, "algorithm", "epochs", "minibatch"))
+        check_numbers(above=0.0, **labeled(self, "algorithm", "lr", "critic_coef", "max_grad_norm"))
+        check_numbers(above=0.0, at_most=1.0, **labeled(self, "algorithm", "clip", "gae_lambda"))
+        check_numbers(0.0, **labeled(self, "algorithm", "entropy_coef"))
 
     def learner(self, policy: nn.Module, gamma: float) -> "PPOLearner":
         """Begin to train `policy`, observations to (mean, STD); `gamma` is per decision."""

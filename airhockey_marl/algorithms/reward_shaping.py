@@ -6,7 +6,7 @@ import torch
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, kind_of, labelled
+from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, kind_of, labeled
 from airhockey_marl.players.networks import BODY_SCALE
 
 TABLE = TableSpec()
@@ -33,7 +33,7 @@ class RewardShaping:
     BEHIND = 0.08  # m: paddle and puck touching
 
     def __post_init__(self) -> None:
-        check_numbers(0.0, **labelled(self, "shaping", "position", "velocity", "shot", "approach"))
+        check_numbers(0.0, **labeled(self, "shaping", "position", "velocity", "shot", "approach"))
 
     def potential(self, observation: Tensor) -> Tensor:
         """Potential (..., 1) of observations (..., 12)."""

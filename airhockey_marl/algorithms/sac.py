@@ -25,7 +25,7 @@ from torch import Tensor, nn
 from torchrl.objectives import SACLoss, SoftUpdate, ValueEstimators
 
 from airhockey_marl.algorithms.ppo import gaussian_actor
-from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, check_view, labelled
+from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, check_view, labeled
 from airhockey_marl.players.networks import PADDLE, ObservationScaling, check_hidden, mlp_layers
 
 
@@ -57,12 +57,12 @@ class SACConfig:
     q_hidden: Sequence[int]
 
     def __post_init__(self) -> None:
-        check_counts(**labelled(self, "algorithm", "capacity", "updates", "minibatch"))
+        check_counts(**labeled(self, "algorithm", "capacity", "updates", "minibatch"))
         rates = ("policy_lr", "q_lr", "temperature_lr", "temperature")
-        check_numbers(above=0.0, **labelled(self, "algorithm", *rates))
-        check_numbers(above=0.0, at_most=1.0, **labelled(self, "algorithm", "tau"))
-        check_numbers(0.0, **labelled(self, "algorithm", "outside_cost"))
-        check_numbers(**labelled(self, "algorithm", "target_entropy"))
+        check_numbers(above=0.0, **labeled(self, "algorithm", *rates))
+        check_numbers(above=0.0, at_most=1.0, **labeled(self, "algorithm", "tau"))
+        check_numbers(0.0, **labeled(self, "algorithm", "outside_cost"))
+        check_numbers(**labeled(self, "algorithm", "target_entropy"))
         if not self.target_entropy < MAX_ENTROPY:
             raise ValueError(
                 f"algorithm.target_entropy = {self.target_entropy} must be below {MAX_ENTROPY:.2f}, "

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from airhockey_marl.algorithms.advantages import advantages
-from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, check_view, labelled
+from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, check_view, labeled
 
 
 def conjugate_gradient(matvec: Callable[[Tensor], Tensor], b: Tensor, steps: int, tolerance: float = 1e-10) -> Tensor:
@@ -112,10 +112,10 @@ class TRPOConfig:
 
     def __post_init__(self) -> None:
         counts = ("cg_max_steps", "line_search_max_iter", "critic_epochs", "critic_batch_size")
-        check_counts(**labelled(self, "algorithm", *counts))
-        check_numbers(above=0.0, **labelled(self, "algorithm", "max_kl", "shrink", "critic_lr"))
-        check_numbers(above=0.0, at_most=1.0, **labelled(self, "algorithm", "fisher_subsample", "gae_lambda"))
-        check_numbers(0.0, **labelled(self, "algorithm", "damping"))
+        check_counts(**labeled(self, "algorithm", *counts))
+        check_numbers(above=0.0, **labeled(self, "algorithm", "max_kl", "line_search_shrink", "critic_lr"))
+        check_numbers(above=0.0, at_most=1.0, **labeled(self, "algorithm", "fisher_subsample", "gae_lambda"))
+        check_numbers(0.0, **labeled(self, "algorithm", "damping"))
         if not self.line_search_shrink < 1:
             raise ValueError(f"algorithm.shrink = {self.line_search_shrink} must be between 0 and 1")
 

@@ -1,7 +1,7 @@
 """Two-player air hockey, as a PettingZoo environment and as a batch of tables for TorchRL.
 
 Agents        `left` and `right`; both see the table from their own seat, so one model can play either.
-Observation   float32 (12,), in m and m/s from the table's centre, x toward the opponent, y to one's left:
+Observation   float32 (12,), in m and m/s from the table's center, x toward the opponent, y to one's left:
                 0-3   own paddle         x, y, vx, vy
                 4-7   opponent's paddle  x, y, vx, vy
                 8-11  puck               x, y, vx, vy

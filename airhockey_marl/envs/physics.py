@@ -1,6 +1,6 @@
 """The air hockey table: where the puck and the two paddles go in one tick of 20 ms.
 
-Everything is in SI units. The origin is the table's centre, x runs along the table toward the right seat, y to
+Everything is in SI units. The origin is the table's center, x runs along the table toward the right seat, y to
 the left of someone sitting at the left seat. A table's state is `bodies`, a float64 array (3, 4): the rows are
 the left paddle, the right paddle and the puck, the columns x, y, vx, vy.
 
@@ -103,7 +103,7 @@ def check_table(table: TableSpec) -> TableSpec:
 
 
 def action_range(table: TableSpec) -> tuple[np.ndarray, np.ndarray]:
-    """Where the left paddle's centre can be: the middle of its side, and how far it gets from there (x, y), in m.
+    """Where the left paddle's center can be: the middle of its side, and how far it gets from there (x, y), in m.
 
     This is the scale of an action: action 0 is the middle, +-1 are the ends (section 3.1). The right seat has the
     same after a half turn.
@@ -119,7 +119,7 @@ def clamp(value, low, high):
 
 @inlined
 def _own_half(seat, table):
-    """Where a seat's paddle centre may be, in m: x from low to high, y up to `side` off the middle."""
+    """Where a seat's paddle center may be, in m: x from low to high, y up to `side` off the middle."""
     inner, outer = table.paddle_radius, table.length / 2 - table.paddle_radius
     low_x, high_x = (-outer, -inner) if seat == LEFT else (inner, outer)
     return low_x, high_x, table.width / 2 - table.paddle_radius
@@ -154,7 +154,7 @@ def _drive_paddle(paddle, seat, goal_x, goal_y, dt, table):
 
 @inlined
 def _time_to_circle(gap_x, gap_y, velocity_x, velocity_y, radius):
-    """When a point at `gap` from a circle's centre, moving at `velocity` relative to it, meets it; inf if never."""
+    """When a point at `gap` from a circle's center, moving at `velocity` relative to it, meets it; inf if never."""
     closing = gap_x * velocity_x + gap_y * velocity_y
     if closing >= 0.0:
         return np.inf
@@ -267,7 +267,7 @@ def _keep_on_table(puck, table):
 
 @inlined
 def _from_paddle_to_puck(bodies, seat):
-    """Unit vector and distance from a paddle's centre to the puck's; forward where they coincide."""
+    """Unit vector and distance from a paddle's center to the puck's; forward where they coincide."""
     gap_x, gap_y = bodies[PUCK, X] - bodies[seat, X], bodies[PUCK, Y] - bodies[seat, Y]
     gap = hypot(gap_x, gap_y)
     if gap == 0.0:

@@ -9,9 +9,9 @@ from PIL import Image, ImageDraw
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec, X, Y
 from airhockey_marl.experiment.validation import check_arrays, check_counts
 
-# Okabe and Ito's palette: told apart by colour-blind people too.
+# Okabe and Ito's palette: told apart by color-blind people too.
 FELT, LINE, RIM, GOAL_MOUTH = (245, 246, 248), (170, 190, 205), (70, 78, 88), (255, 255, 255)
-COLOURS = {LEFT: (0, 114, 178), RIGHT: (213, 94, 0), PUCK: (35, 35, 35)}
+COLORS = {LEFT: (0, 114, 178), RIGHT: (213, 94, 0), PUCK: (35, 35, 35)}
 SMOOTHING = 3  # drawn so many times larger, then scaled down
 MARGIN = 0.04  # m of rim around the playing field
 
@@ -71,7 +71,7 @@ def draw_bodies(pen: ImageDraw.ImageDraw, view: View, bodies: np.ndarray) -> Non
     """Draw the puck and the paddles, `bodies` (3, 4) or (3, 2); the left seat is blue, the right one orange."""
     for body in (PUCK, LEFT, RIGHT):
         radius = view.table.puck_radius if body == PUCK else view.table.paddle_radius
-        pen.ellipse(view.box(bodies[body, X], bodies[body, Y], radius), fill=COLOURS[body])
+        pen.ellipse(view.box(bodies[body, X], bodies[body, Y], radius), fill=COLORS[body])
         if body != PUCK:  # the handle
             pen.ellipse(view.box(bodies[body, X], bodies[body, Y], radius / 2), fill=FELT)
 

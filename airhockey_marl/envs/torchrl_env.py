@@ -32,6 +32,8 @@ class AirHockeyEnv(EnvBase):
         seed: of the serves.
     """
 
+    _has_frame_skip = True  # `_step` skips frames itself; without this `EnvBase` would wrap it in a FrameSkipTransform
+
     def __init__(
         self,
         n: int,

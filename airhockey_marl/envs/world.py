@@ -121,7 +121,7 @@ def _play_tables(rows, bodies, watch, rng, actions, ticks, goals, touched, serve
 def observe(bodies, seat, out):
     """Write the 12 numbers a seat sees into `out` (n, 12): own paddle, other paddle, puck, each x, y, vx, vy.
 
-    In m and m/s from the table's centre, x toward the opponent: the right seat sees the table after a half turn, so
+    In m and m/s from the table's center, x toward the opponent: the right seat sees the table after a half turn, so
     one model can play either seat.
     """
     turn = 1.0 if seat == LEFT else -1.0

@@ -31,7 +31,7 @@ LEAGUE, CARD, CONFIG = "league.safetensors", "card.json", ".hydra/config.yaml"
 SCRIPTS, BEGINNING = ("defender", "striker"), "generation 0"
 COUNTS = list(MatchResult._fields)
 TABLES = 100  # side by side in a match, where it has as many rounds
-# Okabe and Ito's colours, which people with any kind of colour vision can tell apart, and marks for those who print
+# Okabe and Ito's colors, which people with any kind of color vision can tell apart, and marks for those who print
 STYLES = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "D"), ("#E69F00", "v"), ("#56B4E9", "P"))
 
 
@@ -196,12 +196,12 @@ def figure(results: pd.DataFrame) -> Figure:
     algorithms, rates = sorted(results["algorithm"].unique()), win_rates(results)
     styles = dict(zip(algorithms, itertools.cycle(STYLES), strict=False))
     for axes, opponent in zip(panels, [*SCRIPTS, BEGINNING], strict=True):
-        for algorithm, (colour, mark) in styles.items():
+        for algorithm, (color, mark) in styles.items():
             own = rates[(rates["algorithm"] == algorithm) & (rates["opponent"] == opponent)]
             for _, seed in own.groupby("seed"):
-                axes.plot(seed["steps"] / 1e6, seed["win_rate"], color=colour, linewidth=0.8, alpha=0.5)
+                axes.plot(seed["steps"] / 1e6, seed["win_rate"], color=color, linewidth=0.8, alpha=0.5)
             mean = own.groupby("steps")["win_rate"].mean()
-            axes.plot(mean.index / 1e6, mean, color=colour, linewidth=2.2, marker=mark, markersize=5)
+            axes.plot(mean.index / 1e6, mean, color=color, linewidth=2.2, marker=mark, markersize=5)
         axes.axhline(0.5, color="#8C8C8C", linewidth=0.8, linestyle=":")
         axes.set_title(f"against {opponent}", fontsize=11, fontweight="bold")
         axes.set_xlabel("steps of play in millions", fontsize=9, color="#444444")
@@ -213,8 +213,8 @@ def figure(results: pd.DataFrame) -> Figure:
     seeds = results.groupby("algorithm")["seed"].nunique()
     labels = [f"{name} ({seeds[name]} seed{'s'[: seeds[name] - 1]})" for name in algorithms]
     legend = [
-        Line2D([], [], color=colour, marker=mark, linewidth=2.2, label=label)
-        for (colour, mark), label in zip(styles.values(), labels, strict=True)
+        Line2D([], [], color=color, marker=mark, linewidth=2.2, label=label)
+        for (color, mark), label in zip(styles.values(), labels, strict=True)
     ]
     drawing.legend(handles=legend, loc="outside lower center", ncols=len(legend), frameon=False, fontsize=9)
     return drawing

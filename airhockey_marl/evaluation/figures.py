@@ -23,9 +23,9 @@ from airhockey_marl.evaluation.ratings import Proportion, win_rates
 from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.players import stochastic
 
-# Okabe and Ito's colours, which people with any kind of colour vision can tell apart
-BLUE, ORANGE, GREEN, PINK, GREY, INK = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8C8C8C", "#222222"
-LINES = ("#E69F00", GREEN, PINK, ORANGE, "#56B4E9", GREY)  # of those that a generation is measured against
+# Okabe and Ito's colors, which people with any kind of color vision can tell apart
+BLUE, ORANGE, GREEN, PINK, GRAY, INK = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8C8C8C", "#222222"
+LINES = ("#E69F00", GREEN, PINK, ORANGE, "#56B4E9", GRAY)  # of those that a generation is measured against
 LOSS_TO_WIN = LinearSegmentedColormap.from_list("loss_to_win", ["#A84300", ORANGE, "#F7F7F7", BLUE, "#004B78"])
 NUMBERS_UP_TO, LABELS_UP_TO = 12, 26  # members, in the cells and along the sides of a payoff matrix
 GENERATIONS_UP_TO = 5  # of those that all were measured against
@@ -49,7 +49,7 @@ def payoff_figure(members: Sequence[PlayerId], score: np.ndarray) -> Figure:
     axes.set_facecolor("#E3E3E3")
     image = axes.imshow(shares, cmap=LOSS_TO_WIN, vmin=0, vmax=1)
     figure.colorbar(
-        image, ax=axes, line_search_shrink=0.75, label="share of decided rounds that the row wins", ticks=[0, 0.5, 1]
+        image, ax=axes, shrink=0.75, label="share of decided rounds that the row wins", ticks=[0, 0.5, 1]
     )
     generations = sum(not isinstance(member, str) for member in members)
     every = -(-generations // LABELS_UP_TO)
@@ -66,9 +66,9 @@ def payoff_figure(members: Sequence[PlayerId], score: np.ndarray) -> Figure:
     if k <= NUMBERS_UP_TO:
         for row, column in np.argwhere(np.isfinite(shares)):
             share = shares[row, column]
-            colour = "white" if abs(share - 0.5) > 0.22 else INK
+            color = "white" if abs(share - 0.5) > 0.22 else INK
             text = f"{share:.2f}".removeprefix("0").replace("1.00", "1")
-            axes.text(column, row, text, ha="center", va="center", fontsize=9, color=colour)
+            axes.text(column, row, text, ha="center", va="center", fontsize=9, color=color)
     axes.spines[:].set_visible(False)
     return figure
 
@@ -86,17 +86,17 @@ def rating_figure(ratings: pd.DataFrame, matches: pd.DataFrame | None = None) ->
     number = learned["member"].astype(int)
     if matches is not None:
         kept, _ = _parted(matches)
-        style = {"color": GREY, "linewidth": 1.1, "label": "from the matches kept during training"}
+        style = {"color": GRAY, "linewidth": 1.1, "label": "from the matches kept during training"}
         axes.plot(kept["member"].astype(int), kept["rating"], **style)
     axes.fill_between(number, learned["low"], learned["high"], color=BLUE, alpha=0.18, linewidth=0)
     axes.plot(
         number, learned["rating"], color=BLUE, marker="o", markersize=4, linewidth=1.6, label="from the payoff matrix"
     )
-    for row, colour in zip(scripted.itertuples(), itertools.cycle(LINES), strict=False):
-        axes.axhline(row.rating, color=colour, linewidth=1.4, linestyle="--")
-        axes.axhspan(row.low, row.high, color=colour, alpha=0.12, linewidth=0)
+    for row, color in zip(scripted.itertuples(), itertools.cycle(LINES), strict=False):
+        axes.axhline(row.rating, color=color, linewidth=1.4, linestyle="--")
+        axes.axhspan(row.low, row.high, color=color, alpha=0.12, linewidth=0)
         place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
-        axes.annotate(row.member, (1.0, row.rating), (5, 0), va="center", color=colour, fontsize=9.5, **place)
+        axes.annotate(row.member, (1.0, row.rating), (5, 0), va="center", color=color, fontsize=9.5, **place)
     axes.set_xlabel("generation")
     axes.set_ylabel(f"Elo points above {named(ratings['member'].iloc[0])}")
     if matches is not None:
@@ -123,7 +123,7 @@ def matches_figure(matches: pd.DataFrame, window: int = 5) -> Figure:
         met = matches[matches["opponent"] == opponent].groupby("generation")[["won", "lost"]].sum()
         smooth = met.rolling(window, center=True, min_periods=1).sum()
         raw, running = (sums["won"] / (sums["won"] + sums["lost"]) for sums in (met, smooth))
-        axes.axhline(0.5, color=GREY, linewidth=0.8)
+        axes.axhline(0.5, color=GRAY, linewidth=0.8)
         axes.plot(raw.index, raw, color=BLUE, marker="o", markersize=2.2, linewidth=0, alpha=0.45)
         axes.plot(running.index, running, color=BLUE, linewidth=1.8)
         axes.set_title(f"against {named(opponent)}", fontsize=10)
@@ -178,7 +178,7 @@ def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndar
     left, *rest = figure.subplots(1, 3, width_ratios=[1.35, 1.7, 1.7])
     rows = table_of_std.set_index("situation").loc[list(SITUATIONS)]
     places = np.arange(len(rows))
-    left.bar(places, rows["std"], width=0.68, color=[BLUE, GREEN, "#E69F00", GREY])
+    left.bar(places, rows["std"], width=0.68, color=[BLUE, GREEN, "#E69F00", GRAY])
     known = rows["std"].notna().to_numpy()
     ends = np.abs(rows[["low", "high"]].sub(rows["std"], axis=0).to_numpy().T)
     whiskers = {"fmt": "none", "ecolor": INK, "elinewidth": 1.1, "capsize": 4}
@@ -201,7 +201,7 @@ def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndar
         axes.set_yticks([])
         axes.spines[:].set_visible(False)
     figure.colorbar(
-        image, ax=rest, line_search_shrink=0.62, label="mean STD", format=FuncFormatter(lambda std, _: f"{std:.2f}")
+        image, ax=rest, shrink=0.62, label="mean STD", format=FuncFormatter(lambda std, _: f"{std:.2f}")
     )
     return figure
 
@@ -212,7 +212,7 @@ def best_response_figure(results: Sequence[tuple[int, Proportion]]) -> Figure:
     value, low, high, _ = zip(*shares, strict=True)
     figure = Figure(figsize=(6.4, 3.2), layout="constrained")
     axes = figure.subplots()
-    axes.axhline(0.5, color=GREY, linewidth=0.8)
+    axes.axhline(0.5, color=GRAY, linewidth=0.8)
     axes.fill_between(steps, low, high, color=ORANGE, alpha=0.2, linewidth=0)
     axes.plot(steps, value, color=ORANGE, marker="o", markersize=4, linewidth=1.6)
     axes.set_ylim(-0.02, 1.02)

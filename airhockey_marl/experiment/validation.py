@@ -119,7 +119,7 @@ def check_numbers(least: float = -inf, /, *, above: float = -inf, at_most: float
             raise ValueError(f"{name} = {value!r} must be a finite number {' and '.join(bounds)}".rstrip())
 
 
-def labelled(settings: Any, label: str, *names: str) -> dict[str, Any]:
+def labeled(settings: Any, label: str, *names: str) -> dict[str, Any]:
     """Some of the attributes of an object, by the names that people have written them under: `label.name`."""
     return {f"{label}.{name}": getattr(settings, name) for name in names}
 

@@ -17,7 +17,7 @@ MOST_WEIGHTS = 10_000_000  # of a network; the paper's has 20 thousand
 # An observation's numbers divided by these are about 1: half a table's length and width in m, fast paddles in m/s.
 # Constants rather than running statistics, which would move under a frozen opponent's feet.
 BODY_SCALE = (0.97, 0.52, 3.0, 3.0)
-STROKE = 0.3  # m, the scale of the puck's place as seen from the paddle: a stroke is decided by centimetres
+STROKE = 0.3  # m, the scale of the puck's place as seen from the paddle: a stroke is decided by centimeters
 TABLE, PADDLE = "table", "paddle"  # where the puck's place is measured from
 
 
@@ -25,7 +25,7 @@ class ObservationScaling(nn.Module):
     """Observations (..., 12) as a network takes them: an invertible linear map to 12 numbers of about 1.
 
     Args:
-        origin: of the puck's place: "table", its centre, as in the observation; or "paddle", the own one.
+        origin: of the puck's place: "table", its center, as in the observation; or "paddle", the own one.
     """
 
     def __init__(self, origin: str) -> None:

@@ -6,7 +6,7 @@ striker   stops what comes fast close to its goal, and strikes everything else: 
           at full speed, straight or over a side wall, whichever way the opponent's paddle covers least.
 
 A script looks at one observation (12 numbers, see `env`) and remembers nothing, so a match can be repeated. Places are
-in m from the table's centre, x toward the opponent. All constants are assumptions, tried out against the league and
+in m from the table's center, x toward the opponent. All constants are assumptions, tried out against the league and
 each other with decisions of 40 ms; with shorter ones the striker changes its mind more often, and strikes less well.
 """
 

@@ -64,7 +64,7 @@ def main(cfg: DictConfig) -> None:
             raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers from 0 to 1")
         people = training_people(cfg.seed, build(cfg.users.population))
         mentors = load_advisors(cfg.users.mentors)
-        protocol = build(cfg.study, familiarisation=0)
+        protocol = build(cfg.study, familiarization=0)
         models = load_models(cfg)
         league = League.load(cfg.models.opponents)
         if cfg.opponent is not None:

@@ -5,7 +5,7 @@
     airhockey lab participant=P01 device=mouse       without a haptic device
     airhockey lab participant=P01 withdraw=true      delete everything of P01
     airhockey lab participant=S1 device=simulated window=false    a simulated person takes the seat
-    airhockey report runs=outputs/lab/records        the study so far, analysed as any other
+    airhockey report runs=outputs/lab/records        the study so far, analyzed as any other
 
 The games are those of `guidance.evaluate`, in the same order and under the same forces; the seat is another. Records
 are a folder of their own (`records=`), in the manner of BIDS: what is finished is never lost, see `guidance.sessions.bids`.

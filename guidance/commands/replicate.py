@@ -37,7 +37,7 @@ from airhockey_marl.experiment.files import atomic_write, write_json
 from airhockey_marl.experiment.parallel import LOCAL_CLUSTER
 from airhockey_marl.experiment.run_folder import lock_run_folder
 from guidance.simulated_users.force_response import check_variant
-from guidance.statistics.replication_report import summarise
+from guidance.statistics.replication_report import summarize
 from guidance.study.provenance import (
     file_hashes,
     frozen_study,
@@ -77,7 +77,7 @@ def main(cfg: DictConfig) -> None:
                 trials.to_csv(temporary, index=False)
         progress.close()
         write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
-        print(summarise(folder, cfg, facts, studies.factors))
+        print(summarize(folder, cfg, facts, studies.factors))
         print(f"\nreport: {folder / 'replicate.html'}")
 
 

@@ -36,7 +36,7 @@ from guidance.simulated_users.validation.motor_tasks import (
     reaction_times,
     timing_errors,
 )
-from guidance.simulated_users.validation.playstyles import features, recognised, told_apart
+from guidance.simulated_users.validation.playstyles import features, recognized, told_apart
 from guidance.study.demonstrations import collect_demonstrations
 from guidance.study.games import no_force, play_games
 from guidance.study.protocol import Protocol, spawn_rng_states
@@ -44,7 +44,7 @@ from guidance.study.provenance import load_opponent
 from guidance.user_model.rounds import hand_speed
 
 SKILLS = (-1.5, 0.0, 1.5)  # of the people whose rounds are counted, in SD of the usual population
-GAME, SKILL_TRIAL = Protocol(familiarisation=0, rounds=14, extra_rounds=0, min_seconds=0, round_seconds=30), 3000
+GAME, SKILL_TRIAL = Protocol(familiarization=0, rounds=14, extra_rounds=0, min_seconds=0, round_seconds=30), 3000
 ANYTHING = (-np.inf, np.inf)
 # Each measure: its unit, what people show, and where that comes from. Without a source it is a demand of this project.
 MEASURES = {
@@ -149,7 +149,7 @@ def at_the_table(
     found = {
         "speed of the hand in play, 99.9 %": np.array([fastest]),
         "playstyle told from a game, unseen people": told_apart(first, style, one) == style,
-        "person told from another game": np.array([recognised(one, another)]),
+        "person told from another game": np.array([recognized(one, another)]),
     }
     return found, [data.observation[:, 0] for data in unseen]
 

@@ -111,7 +111,7 @@ def recorded(run: Path, game: str | None, start: float, seconds: float) -> tuple
         chosen = games[list(games)[-1] if game is None else game]
         file, facts = chosen.file, chosen.facts
     ticks = read_ticks(file)
-    ticks = ticks[ticks["scored"] == 1]  # time begins anew after the familiarisation
+    ticks = ticks[ticks["scored"] == 1]  # time begins anew after the familiarization
     ticks = ticks[(ticks["time_s"] > start) & (ticks["time_s"] <= start + seconds)].reset_index(drop=True)
     if ticks.empty:
         raise ValueError(f"start = {start}: {file} has nothing then")

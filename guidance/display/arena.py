@@ -8,7 +8,7 @@ import pygame
 from PIL import Image, ImageDraw
 
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec, action_range
-from airhockey_marl.envs.rendering import COLOURS, FELT, SMOOTHING, View, empty_table
+from airhockey_marl.envs.rendering import COLORS, FELT, SMOOTHING, View, empty_table
 from guidance.display.drawing import Place, picture_of, smooth_polygon
 from guidance.display.film import ARROW, CORNERS, FORCE, PAPER, TARGETS, WANTED, SceneDrawer
 from guidance.forces.conditions import Prediction
@@ -79,9 +79,9 @@ class Arena:
         served = self._way and hypot(puck[0] - self._way[-1][0], puck[1] - self._way[-1][1]) > LEAP * self.scale
         self._way = [puck] if served else [*self._way[-TRAIL:], puck]
         if len(self._way) > 1:
-            colour = tuple((2 * ground + ink) // 3 for ground, ink in zip(FELT, COLOURS[PUCK], strict=True))
+            color = tuple((2 * ground + ink) // 3 for ground, ink in zip(FELT, COLORS[PUCK], strict=True))
             for start, end in pairwise(self._way):
-                pygame.draw.aaline(surface, colour, start, end, 3)
+                pygame.draw.aaline(surface, color, start, end, 3)
 
     def _draw_target(self, surface: pygame.Surface, model: str, target: Prediction) -> None:
         mean, std = target.mean[0].numpy(), target.std[0].numpy()
@@ -109,11 +109,11 @@ class Arena:
 
     def _disc(self, radius: float, body: int) -> pygame.Surface:
         size = 2 * round(radius * self.scale) + 4
-        image = Image.new("RGBA", (SMOOTHING * size,) * 2, (*COLOURS[body], 0))
+        image = Image.new("RGBA", (SMOOTHING * size,) * 2, (*COLORS[body], 0))
         middle, pen = SMOOTHING * size / 2, ImageDraw.Draw(image)
-        for share, colour in ((1.0, COLOURS[body]), *((0.5, FELT),) * (body != PUCK)):
+        for share, color in ((1.0, COLORS[body]), *((0.5, FELT),) * (body != PUCK)):
             far = share * radius * self.view.scale
-            pen.ellipse((middle - far, middle - far, middle + far, middle + far), fill=(*colour, 255))
+            pen.ellipse((middle - far, middle - far, middle + far, middle + far), fill=(*color, 255))
         return picture_of(image)
 
     def _mark(self, model: str) -> pygame.Surface:

@@ -1,4 +1,4 @@
-"""Colours, letters and lines for a pygame surface."""
+"""Colors, letters and lines for a pygame surface."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -10,7 +10,7 @@ from PIL import Image
 
 from airhockey_marl.envs.rendering import SMOOTHING
 
-Colour = tuple[int, int, int]
+Color = tuple[int, int, int]
 Place = tuple[float, float]
 
 
@@ -22,9 +22,9 @@ def font(size: int, bold: bool = False) -> pygame.font.Font:
 
 
 @lru_cache(maxsize=512)
-def letters(text: str, size: int, colour: Colour, bold: bool = False) -> pygame.Surface:
+def letters(text: str, size: int, color: Color, bold: bool = False) -> pygame.Surface:
     """A line of text as a picture."""
-    return font(size, bold).render(text, True, colour)
+    return font(size, bold).render(text, True, color)
 
 
 def forget() -> None:
@@ -38,12 +38,12 @@ def write(
     text: str,
     at: Place,
     size: int,
-    colour: Colour,
+    color: Color,
     bold: bool = False,
     anchor: str = "midleft",
 ) -> pygame.Rect:
     """Write a line of text; `anchor` is the point of its box that comes to lie `at`."""
-    picture = letters(text, size, colour, bold)
+    picture = letters(text, size, color, bold)
     return surface.blit(picture, picture.get_rect(**{anchor: at}))
 
 
@@ -69,15 +69,15 @@ def picture_of(image: Image.Image) -> pygame.Surface:
     return surface.convert_alpha() if small.mode == "RGBA" else surface.convert()
 
 
-def veil(surface: pygame.Surface, box: pygame.Rect, colour: tuple[int, int, int, int]) -> None:
-    """Lay a translucent colour over a box."""
+def veil(surface: pygame.Surface, box: pygame.Rect, color: tuple[int, int, int, int]) -> None:
+    """Lay a translucent color over a box."""
     layer = pygame.Surface(box.size, pygame.SRCALPHA)
-    layer.fill(colour)
+    layer.fill(color)
     surface.blit(layer, box)
 
 
-def smooth_polygon(surface: pygame.Surface, corners: np.ndarray, colour: Colour, edge: Colour) -> None:
+def smooth_polygon(surface: pygame.Surface, corners: np.ndarray, color: Color, edge: Color) -> None:
     """A filled polygon (n, 2) with a smooth edge."""
     places = [tuple(corner) for corner in corners]
-    pygame.draw.polygon(surface, colour, places)
+    pygame.draw.polygon(surface, color, places)
     pygame.draw.aalines(surface, edge, True, places)

@@ -16,14 +16,14 @@ import pandas as pd
 from PIL import Image, ImageDraw, ImageFont, ImageOps
 
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec, action_range
-from airhockey_marl.envs.rendering import COLOURS, FELT, LINE, RIM, SMOOTHING, View, draw_bodies, empty_table
+from airhockey_marl.envs.rendering import COLORS, FELT, LINE, RIM, SMOOTHING, View, draw_bodies, empty_table
 from guidance.simulated_users.arm import HAND_REACH
 
 Pixel = tuple[float, float]
-Colour = tuple[int, int, int]
+Color = tuple[int, int, int]
 
-# Okabe and Ito's colours; the optimal action has that of OAHG in Figure 6
-INK, PAPER, GREY = (34, 34, 34), (255, 255, 255), (222, 226, 230)
+# Okabe and Ito's colors; the optimal action has that of OAHG in Figure 6
+INK, PAPER, GRAY = (34, 34, 34), (255, 255, 255), (222, 226, 230)
 WANTED, FORCE = (86, 180, 233), (0, 158, 115)
 TARGETS = {"optimal": (230, 159, 0), "predicted": (204, 121, 167)}
 CORNERS = {"optimal": ((0, -8), (8, 0), (0, 8), (-8, 0)), "predicted": ((-6, -6), (6, -6), (6, 6), (-6, 6))}
@@ -76,20 +76,20 @@ class SceneDrawer:
         self.pen, self.scale = ImageDraw.Draw(image, "RGBA"), scale
         self.unit = scale / 400  # a pixel, where the picture is 800 wide when it is scaled down
 
-    def line(self, places: list[Pixel], colour: Colour, width: float) -> None:
-        self.pen.line(places, fill=colour, width=round(width * self.unit), joint="curve")
+    def line(self, places: list[Pixel], color: Color, width: float) -> None:
+        self.pen.line(places, fill=color, width=round(width * self.unit), joint="curve")
 
-    def disc(self, at: Pixel, radius: float, colour: Colour) -> None:
-        self.pen.ellipse(_box(at, radius * self.unit, radius * self.unit), fill=colour)
+    def disc(self, at: Pixel, radius: float, color: Color) -> None:
+        self.pen.ellipse(_box(at, radius * self.unit, radius * self.unit), fill=color)
 
-    def ellipse(self, at: Pixel, radius_x: float, radius_y: float, colour: Colour, filled: bool) -> None:
+    def ellipse(self, at: Pixel, radius_x: float, radius_y: float, color: Color, filled: bool) -> None:
         """Of radii in pixels."""
-        inside, width = (*colour, 50 * filled), round(1.5 * self.unit)
-        self.pen.ellipse(_box(at, radius_x, radius_y), fill=inside, outline=(*colour, 170), width=width)
+        inside, width = (*color, 50 * filled), round(1.5 * self.unit)
+        self.pen.ellipse(_box(at, radius_x, radius_y), fill=inside, outline=(*color, 170), width=width)
 
-    def target(self, at: Pixel, model: str, colour: Colour) -> None:
+    def target(self, at: Pixel, model: str, color: Color) -> None:
         corners = [(at[0] + self.unit * x, at[1] + self.unit * y) for x, y in CORNERS[model]]
-        for ink, width in ((PAPER, 5), (colour, 2.5)):
+        for ink, width in ((PAPER, 5), (color, 2.5)):
             self.line([*corners, *corners[:2]], ink, width)
 
     def cross(self, at: Pixel) -> None:
@@ -118,11 +118,11 @@ def _box(at: Pixel, radius_x: float, radius_y: float) -> tuple[float, ...]:
     return at[0] - radius_x, at[1] - radius_y, at[0] + radius_x, at[1] + radius_y
 
 
-def _mix(colour: Colour, ground: Colour, part: float) -> Colour:
-    return tuple(round(part * a + (1 - part) * b) for a, b in zip(colour, ground, strict=True))
+def _mix(color: Color, ground: Color, part: float) -> Color:
+    return tuple(round(part * a + (1 - part) * b) for a, b in zip(color, ground, strict=True))
 
 
-def _colour(model: str, scene: FilmInfo) -> Colour:
+def _color(model: str, scene: FilmInfo) -> Color:
     """Of a target; pale where no force comes from it."""
     return TARGETS[model] if model in scene.used else _mix(TARGETS[model], FELT, 0.4)
 
@@ -139,11 +139,11 @@ def draw_play(ticks: pd.DataFrame, index: int, scene: FilmInfo, width: int) -> I
     middle, half = action_range(scene.table)
     recent = ticks.iloc[max(index - TRAIL, 0) : index + 1]
     way = recent.loc[recent["round"] == now["round"], ["puck_x", "puck_y"]].to_numpy()
-    marks.line([view.pixel(*place) for place in way], _mix(COLOURS[PUCK], FELT, 0.35), 3)
+    marks.line([view.pixel(*place) for place in way], _mix(COLORS[PUCK], FELT, 0.35), 3)
     targets = {model: view.pixel(*middle + half * _pair(now, model)) for model in TARGETS}
     for model, at in targets.items():
         radii = half * _pair(now, f"{model}_std") * view.scale
-        marks.ellipse(at, *radii, _colour(model, scene), model in scene.used)
+        marks.ellipse(at, *radii, _color(model, scene), model in scene.used)
     paddle = view.pixel(*_pair(now, "own"))
     if scene.simulated:
         wanted = view.pixel(*middle + half * _pair(now, "wanted") / HAND_REACH)
@@ -155,7 +155,7 @@ def draw_play(ticks: pd.DataFrame, index: int, scene: FilmInfo, width: int) -> I
     edge = 10 * marks.unit  # a model may want more than the table has; its mark stays in the picture
     for model, at in targets.items():
         inside = np.clip(at, edge, np.array(view.size) - edge)
-        marks.target(tuple(inside), model, _colour(model, scene))
+        marks.target(tuple(inside), model, _color(model, scene))
     if scene.simulated:
         marks.cross(wanted)
     marks.arrow(paddle, _pair(now, "force"))
@@ -217,13 +217,13 @@ def save_film(
 
 
 def _palette() -> Image.Image:
-    """Every colour and the steps from it to its grounds: one palette for all pictures, or the film would flicker."""
-    colours = [*COLOURS.values(), *TARGETS.values(), WANTED, FORCE, INK, RIM, LINE]
+    """Every color and the steps from it to its grounds: one palette for all pictures, or the film would flicker."""
+    colors = [*COLORS.values(), *TARGETS.values(), WANTED, FORCE, INK, RIM, LINE]
     mixed = [
-        _mix(colour, ground, part) for ground in (FELT, PAPER) for colour in colours for part in np.linspace(1, 0.2, 9)
+        _mix(color, ground, part) for ground in (FELT, PAPER) for color in colors for part in np.linspace(1, 0.2, 9)
     ]
     palette = Image.new("P", (1, 1))
-    palette.putpalette([value for colour in (FELT, PAPER, GREY, *mixed) for value in colour])
+    palette.putpalette([value for color in (FELT, PAPER, GRAY, *mixed) for value in color])
     return palette
 
 
@@ -246,9 +246,9 @@ def _draw_standing(now: pd.Series, title: str, width: int, size: int) -> Image.I
     write, plain, bold = ImageDraw.Draw(image).text, _font(size), _font(round(1.3 * size), True)
     middle, line = width / 2, 0.7 * row
     write((size, line), title, INK, bold, anchor="lm")
-    write((middle - size, line), f"{now['won']:.0f}", COLOURS[LEFT], bold, anchor="rm")
+    write((middle - size, line), f"{now['won']:.0f}", COLORS[LEFT], bold, anchor="rm")
     write((middle, line), ":", INK, bold, anchor="mm")
-    write((middle + size, line), f"{now['lost']:.0f}", COLOURS[RIGHT], bold, anchor="lm")
+    write((middle + size, line), f"{now['lost']:.0f}", COLORS[RIGHT], bold, anchor="lm")
     write((width - size, line), f"{now['time_s']:.2f} s", INK, bold, anchor="rm")
     line += row
     wish = f"wants to {WISHES[now['intention']]}" if "intention" in now else ""
@@ -261,8 +261,8 @@ def _draw_standing(now: pd.Series, title: str, width: int, size: int) -> Image.I
     for text, value in weights.items():
         write((left, line), text, INK, plain, anchor="lm")
         left += plain.getlength(f"{text} ")
-        for share, colour in ((1, GREY), (value, FORCE)):
-            ImageDraw.Draw(image).rectangle((left, line - size / 3, left + share * bar, line + size / 3), fill=colour)
+        for share, color in ((1, GRAY), (value, FORCE)):
+            ImageDraw.Draw(image).rectangle((left, line - size / 3, left + share * bar, line + size / 3), fill=color)
         write((left + bar + 0.5 * size, line), f"{value:.2f}", INK, plain, anchor="lm")
         left += bar + plain.getlength("0.00") + 2 * size
     return image
@@ -276,12 +276,12 @@ def _draw_legend(scene: FilmInfo, width: int, size: int, scale: float) -> Image.
     marks, unit = SceneDrawer(image, scale), scale / 400
 
     def paddle(at: Pixel, seat: int) -> None:
-        marks.disc(at, 8, COLOURS[seat])
+        marks.disc(at, 8, COLORS[seat])
         marks.disc(at, 4, PAPER)
 
     def puck(at: Pixel) -> None:
-        marks.line([(at[0] - 20 * unit, at[1]), at], _mix(COLOURS[PUCK], FELT, 0.35), 3)
-        marks.disc(at, 6, COLOURS[PUCK])
+        marks.line([(at[0] - 20 * unit, at[1]), at], _mix(COLORS[PUCK], FELT, 0.35), 3)
+        marks.disc(at, 6, COLORS[PUCK])
 
     entries = [
         (scene.player, lambda at: paddle(at, LEFT)),
@@ -294,7 +294,7 @@ def _draw_legend(scene: FilmInfo, width: int, size: int, scale: float) -> Image.
     for model in TARGETS:
         name = f"{model} action" + " (adapted)" * (scene.adapted and model == "predicted")
         name += ", not used" * (model not in scene.used)
-        entries.append((name, partial(marks.target, model=model, colour=_colour(model, scene))))
+        entries.append((name, partial(marks.target, model=model, color=_color(model, scene))))
     places = [(columns[i // 3] + 2.2 * size, row * (i % 3 + 0.7)) for i in range(len(entries))]
     for (x, y), (_, draw) in zip(places, entries, strict=True):
         draw((SMOOTHING * x, SMOOTHING * y))

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 import pygame
 
 from airhockey_marl.envs.physics import LEFT
-from airhockey_marl.envs.rendering import COLOURS
+from airhockey_marl.envs.rendering import COLORS
 from guidance.display.drawing import font, wrapped, write
-from guidance.display.film import GREY, INK, PAPER
+from guidance.display.film import GRAY, INK, PAPER
 
 MARGIN, TITLE, TEXT, KEY = 70, 30, 19, 19  # px
 FADED = (90, 96, 104)
@@ -56,13 +56,13 @@ class Page:
             line += TEXT
             shown = wrapped(typed, TEXT, width)[-1] if typed else ""
             end = write(surface, shown, (MARGIN, line), TEXT, INK).right
-            pygame.draw.line(surface, COLOURS[LEFT], (end + 2, line - 12), (end + 2, line + 12), 2)
-            pygame.draw.line(surface, GREY, (MARGIN, line + 18), (MARGIN + width, line + 18), 2)
+            pygame.draw.line(surface, COLORS[LEFT], (end + 2, line - 12), (end + 2, line + 12), 2)
+            pygame.draw.line(surface, GRAY, (MARGIN, line + 18), (MARGIN + width, line + 18), 2)
             line += 2 * TEXT
         line += KEY
         size, column = self._columns(width)
         for key, what in self.keys.items():
-            write(surface, key, (MARGIN, line), size, COLOURS[LEFT], bold=True)
+            write(surface, key, (MARGIN, line), size, COLORS[LEFT], bold=True)
             write(surface, what, (MARGIN + column, line), size, INK)
             line += apart
 
@@ -129,13 +129,13 @@ class Items:
             first, last = self._box(number, 1, size), self._box(number, 7, size)
             write(surface, text, (MARGIN, first.top - 26), TEXT, INK, bold=here)
             if here:
-                pygame.draw.rect(surface, COLOURS[LEFT], (MARGIN - 18, first.top - 38, 5, 84))
+                pygame.draw.rect(surface, COLORS[LEFT], (MARGIN - 18, first.top - 38, 5, 84))
             write(surface, self.low, (first.left - 14, first.centery), 15, FADED, anchor="midright")
             write(surface, self.high, (last.right + 14, last.centery), 15, FADED)
             for point in POINTS:
                 box, chosen = self._box(number, point, size), self.answers.get(name) == point
-                pygame.draw.rect(surface, COLOURS[LEFT] if chosen else PAPER, box, border_radius=8)
-                pygame.draw.rect(surface, COLOURS[LEFT] if chosen else GREY, box, 2, border_radius=8)
+                pygame.draw.rect(surface, COLORS[LEFT] if chosen else PAPER, box, border_radius=8)
+                pygame.draw.rect(surface, COLORS[LEFT] if chosen else GRAY, box, 2, border_radius=8)
                 write(surface, str(point), box.center, KEY, PAPER if chosen else INK, chosen, "center")
         done = len(self.answers) == len(self.items)
         how = "return: done" if done else "1 to 7 or the mouse answer; the arrows go back"

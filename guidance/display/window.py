@@ -8,10 +8,10 @@ import numpy as np
 import pygame
 
 from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
-from airhockey_marl.envs.rendering import COLOURS
+from airhockey_marl.envs.rendering import COLORS
 from guidance.display.arena import Arena
 from guidance.display.drawing import forget, letters, veil, write
-from guidance.display.film import FORCE, GREY, INK, PAPER
+from guidance.display.film import FORCE, GRAY, INK, PAPER
 from guidance.display.pages import Items, Page
 from guidance.haptics.clock import Clock
 from guidance.haptics.seat import DisplayState, Quit
@@ -55,7 +55,7 @@ class Window:
         pygame.font.init()
         pygame.joystick.init()
         pygame.display.set_caption(title)
-        pygame.display.set_mode((width, width // 2))  # colours are of a display: there must be one to draw with
+        pygame.display.set_mode((width, width // 2))  # colors are of a display: there must be one to draw with
         self.arena = Arena(table, width)
         self.size = (width, BAR + self.arena.size[1] + FOOT)
         self.surface = self._open(fullscreen=False)
@@ -249,9 +249,9 @@ class Window:
     def _draw_bar(self, moment: DisplayState) -> None:
         middle, line = self.size[0] / 2, BAR / 2
         write(self.surface, moment.title, (EDGE, line), 19, INK, bold=True)
-        write(self.surface, str(moment.won), (middle - 16, line), 26, COLOURS[LEFT], True, "midright")
+        write(self.surface, str(moment.won), (middle - 16, line), 26, COLORS[LEFT], True, "midright")
         write(self.surface, ":", (middle, line), 26, INK, True, "center")
-        write(self.surface, str(moment.lost), (middle + 16, line), 26, COLOURS[RIGHT], True, "midleft")
+        write(self.surface, str(moment.lost), (middle + 16, line), 26, COLORS[RIGHT], True, "midleft")
         left = middle + 70
         for model, mark in self.arena.marks.items() if self.overlay else ():
             left = self.surface.blit(mark, mark.get_rect(midleft=(left, line))).right + 2
@@ -265,8 +265,8 @@ class Window:
             write(self.surface, f"force {newtons:.1f} N", (EDGE, line), 14, FORCE if newtons else FADED, bold=True)
         for name, weight in moment.weights.items() if self.shows_force else ():
             left = write(self.surface, name, (left, line), 14, INK).right + 6
-            for share, colour in ((1.0, GREY), (weight, FORCE)):
-                pygame.draw.rect(self.surface, colour, (left, line - 6, 70 * share, 12))
+            for share, color in ((1.0, GRAY), (weight, FORCE)):
+                pygame.draw.rect(self.surface, color, (left, line - 6, 70 * share, 12))
             left += 70 + EDGE
         write(self.surface, HINT, (self.size[0] - EDGE, line), 14, FADED, anchor="midright")
 

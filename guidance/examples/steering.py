@@ -155,14 +155,14 @@ def guidances(model: nn.Module, adapted) -> dict:
 
 @torch.no_grad()
 def prediction_errors(model: nn.Module, adapted, game: dict[str, Tensor]) -> dict[str, float]:
-    """Root mean square error in m of the model before UA, after, and after UA to the neighbour, in a new game."""
+    """Root mean square error in m of the model before UA, after, and after UA to the neighbor, in a new game."""
 
     def error(mean: Tensor) -> float:
         return (mean - game["action"]).square().sum(-1).mean().sqrt().item()
 
     said = forward_stacked(model, adapted, game["state"])[0]
-    neighbours = forward_stacked(model, adapted[torch.arange(len(adapted)) - 1], game["state"])[0]
-    return {"before UA": error(model(game["state"])[0]), "after": error(said), "somebody else's": error(neighbours)}
+    neighbors = forward_stacked(model, adapted[torch.arange(len(adapted)) - 1], game["state"])[0]
+    return {"before UA": error(model(game["state"])[0]), "after": error(said), "somebody else's": error(neighbors)}
 
 
 def run(seed: int = 0, seconds: float = 60.0) -> tuple[dict[str, float], dict[str, dict[str, np.ndarray]]]:

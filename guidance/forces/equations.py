@@ -42,8 +42,8 @@ def spring_force(position: Tensor, target: Tensor, stiffness: float, limit: floa
     The norm of the force is clipped, not each axis, so that clipping never turns the force away from the target.
 
     Args:
-        position: u, (..., 2), the hand in metres.
-        target: y, (..., 2), the target action in metres of hand travel; broadcasts against ``position``.
+        position: u, (..., 2), the hand in meters.
+        target: y, (..., 2), the target action in meters of hand travel; broadcasts against ``position``.
         stiffness: K >= 0 in N/m.
         limit: the largest force >= 0 in newtons.
 

@@ -21,7 +21,7 @@ class SafetyLimits:
         slew: N/s, the most that a force changes by, but for the drop to nothing of a fault.
         soft_start: s in which the force rises from nothing to its share of one after a start, a grip and a release.
         stale_after: s, a force asked for longer ago is not asked for any more; two ticks of the guidance.
-        workspace: m from the centre, a hand that is further away is a fault; the corner of the reach is at 0.106 m.
+        workspace: m from the center, a hand that is further away is a fault; the corner of the reach is at 0.106 m.
         speed: m/s, a hand that is faster is a fault; 99.9 % of the time in play, hands are slower than 0.8 m/s.
 
     Raises:
@@ -86,7 +86,7 @@ class Safety:
         Args:
             force: (2,) N, what is asked for; none if it is not finite.
             age: s since it was asked for.
-            position: (2,) m, the hand from the centre.
+            position: (2,) m, the hand from the center.
             velocity: (2,) m/s, the hand's.
             held: the hand is at the device.
             seconds: s of this step.
@@ -147,7 +147,7 @@ class Safety:
         if not (isfinite(away) and isfinite(speed)):
             return f"the device reports a hand at {position} m with a velocity of {velocity} m/s"
         if not away <= limits.workspace:
-            return f"the hand is {away:.3f} m from the centre, further than {limits.workspace:g} m"
+            return f"the hand is {away:.3f} m from the center, further than {limits.workspace:g} m"
         if not speed <= limits.speed:
             return f"the hand moves at {speed:.2f} m/s, faster than {limits.speed:g} m/s"
         return f"a step took {seconds} s"

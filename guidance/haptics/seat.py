@@ -48,7 +48,7 @@ class HapticHand(Protocol):
     """A hand at a device, behind the safety layer; see `guidance.haptics.servo`."""
 
     @property
-    def position(self) -> Pair: ...  # (2,) m from the centre of the workspace
+    def position(self) -> Pair: ...  # (2,) m from the center of the workspace
 
     @property
     def force(self) -> Pair: ...  # (2,) N, what it feels

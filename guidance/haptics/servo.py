@@ -160,7 +160,7 @@ class InProcessServo:
 
     @property
     def position(self) -> Pair:
-        """(2,) m, the hand from the centre, now; of a device that fails, where it was last."""
+        """(2,) m, the hand from the center, now; of a device that fails, where it was last."""
         try:
             return self.device.position
         except Exception:  # the next step says so
@@ -310,7 +310,7 @@ class ServoProcess:
 
     @property
     def position(self) -> Pair:
-        """(2,) m, the hand from the centre, at the last step."""
+        """(2,) m, the hand from the center, at the last step."""
         return self._look()[3:5]
 
     @property

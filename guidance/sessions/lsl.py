@@ -18,7 +18,7 @@ class LabStreams:
         import pylsl
 
         markers = pylsl.StreamInfo(MARKERS, "Markers", 1, pylsl.IRREGULAR_RATE, pylsl.cf_string, "airhockey-markers")
-        ticks = pylsl.StreamInfo(TICKS, "Behaviour", len(COLUMNS), 50.0, pylsl.cf_double64, "airhockey-ticks")
+        ticks = pylsl.StreamInfo(TICKS, "Behavior", len(COLUMNS), 50.0, pylsl.cf_double64, "airhockey-ticks")
         channels = ticks.desc().append_child("channels")
         for name, about in COLUMNS.items():
             channel = channels.append_child("channel")

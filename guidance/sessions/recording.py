@@ -36,7 +36,7 @@ RESULTS = (
 )
 SCALE = range(1, 8)  # of the ratings
 MISSING = "n/a"  # BIDS has it so
-_PARTIAL, _BEHAVIOUR = "_desc-partial_beh", "_beh"
+_PARTIAL, _BEHAVIOR = "_desc-partial_beh", "_beh"
 
 Columns = Mapping[str, Mapping[str, str]]
 """Column -> its description as BIDS has it: `Description` and `Units`, and more if it helps."""
@@ -122,7 +122,7 @@ class Game:
     def file(self) -> Path:
         """Of its ticks."""
         final = self.description.with_suffix(".tsv")
-        partial = final.with_name(final.name.removesuffix(_BEHAVIOUR + ".tsv") + _PARTIAL + ".tsv")
+        partial = final.with_name(final.name.removesuffix(_BEHAVIOR + ".tsv") + _PARTIAL + ".tsv")
         return partial if partial.is_file() else final  # it is about to get its final name, see `rescue`
 
     def ticks(self) -> pd.DataFrame:
@@ -262,7 +262,7 @@ class Recording:
         self.facts |= facts or {}
         self._write("")  # nothing after the last tick that was appended
         known = {name: None if math.isnan(value) else value for name, value in numbers.items()}
-        description = self._path(_BEHAVIOUR, ".json")
+        description = self._path(_BEHAVIOR, ".json")
         # this rename is the moment; what follows can be made up for, see `rescue`
         save_json(description, self._description() | {"Results": known, "Ratings": None, "Interview": ""})
         _complete(self.stem)
@@ -314,7 +314,7 @@ def rescue(folder: Path) -> list[Path]:
     aside = []
     for stem in sorted({folder / file.name.partition(_PARTIAL)[0] for file in folder.glob(f"*{_PARTIAL}.*")}):
         described, table = (_named(stem, _PARTIAL, suffix) for suffix in (".json", ".tsv"))
-        if _named(stem, _BEHAVIOUR, ".json").exists():
+        if _named(stem, _BEHAVIOR, ".json").exists():
             _complete(stem)
         elif not table.exists():  # the game had not begun
             remove(described)
@@ -336,7 +336,7 @@ def games_in(folder: Path) -> dict[str, Game]:
     Raises:
         ValueError: a file that is not as it was written; the message names it.
     """
-    files = (file for file in folder.glob(f"*{_BEHAVIOUR}.json") if "_desc-" not in file.name)
+    files = (file for file in folder.glob(f"*{_BEHAVIOR}.json") if "_desc-" not in file.name)
     games = sorted(map(Game.load, files), key=lambda game: game.position)
     return {game.name: game for game in games}
 
@@ -349,7 +349,7 @@ def _complete(stem: Path) -> None:
     """Give the table of a whole game its final name; any part of it may have been done."""
     table = _named(stem, _PARTIAL, ".tsv")
     if table.exists():
-        _rename(table, _named(stem, _BEHAVIOUR, ".tsv"))
+        _rename(table, _named(stem, _BEHAVIOR, ".tsv"))
     remove(_named(stem, _PARTIAL, ".json"))
 
 

@@ -28,14 +28,14 @@ from guidance.study.tick_log import COLUMNS, TickLog, demonstration, read_ticks,
 
 WELCOME = (
     "You play at the left side, in blue. The paddle follows your hand. Whoever gets the puck into the other's goal "
-    "wins the round.\n\nPractise now for as long as you like, without guidance; return ends it."
+    "wins the round.\n\nPractice now for as long as you like, without guidance; return ends it."
 )
 FIRST_GAME = (
     "Now play one game without guidance, from which the guidance learns how you play. It does not count.\n\nThe first "
-    "{familiarisation:g} seconds are to warm up; then the game begins, and has {rounds} to {most} rounds."
+    "{familiarization:g} seconds are to warm up; then the game begins, and has {rounds} to {most} rounds."
 )
 NEXT_GAME = (
-    "Game {number} of {games}, with a guidance that may differ from the one before.\n\nThe first {familiarisation:g} "
+    "Game {number} of {games}, with a guidance that may differ from the one before.\n\nThe first {familiarization:g} "
     "seconds are to get used to it; then the game begins, and has {rounds} to {most} rounds.\n\nRest as long as you "
     "like before it."
 )
@@ -145,7 +145,7 @@ class Session:
         if not self._consented():
             return False
         if UNSCORED not in self.participant.games:
-            self._practise()
+            self._practice()
             self._read("A first game", FIRST_GAME, {"return": "begin"})
             self._play(self._without_guidance(), UNSCORED, 0, CALIBRATION_GAME, "A first game")
         self.adapted = self.plan.models.adapted_to([demonstration(read_ticks(self.participant.games[UNSCORED].file))])
@@ -172,15 +172,15 @@ class Session:
     def _read(self, title: str, text: str, keys: Mapping[str, str], number: int = 0) -> str:
         protocol = self.plan.protocol
         most = protocol.rounds + protocol.extra_rounds
-        numbers = {"familiarisation": protocol.familiarisation, "rounds": protocol.rounds, "most": most}
+        numbers = {"familiarization": protocol.familiarization, "rounds": protocol.rounds, "most": most}
         return self.desk.page(Page(title, text.format(number=number, games=len(self.order), **numbers), keys))
 
     def _without_guidance(self) -> Condition:
         return next(condition for condition in self.plan.conditions if not condition.guidance.models())
 
-    def _practise(self) -> None:
+    def _practice(self) -> None:
         """A game without end and without guidance, which nobody records."""
-        if self._read("Practice", WELCOME, {"return": "practise", SKIP: "no practice"}) == SKIP:
+        if self._read("Practice", WELCOME, {"return": "practice", SKIP: "no practice"}) == SKIP:
             return
         seat, table = self.seat, TableSpec()
         self.seated(CALIBRATION_GAME)
@@ -236,7 +236,7 @@ class Session:
         self.events.tick(row)
         moment = self.seat.moment
         moment.won, moment.lost, moment.seconds = log.won, log.lost, row["time_s"]
-        left = self.plan.protocol.familiarisation - row["time_s"]
+        left = self.plan.protocol.familiarization - row["time_s"]
         moment.note = f"the game begins in {ceil(left)} s" if not scored and 0 < left < 4 else ""
         if began:
             self.events.mark("scored")

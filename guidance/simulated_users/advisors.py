@@ -1,4 +1,4 @@
-"""Good players whose judgement people have learned from: generations of a league, asked inside the compiled tick."""
+"""Good players whose judgment people have learned from: generations of a league, asked inside the compiled tick."""
 
 from math import erf, sqrt
 from pathlib import Path

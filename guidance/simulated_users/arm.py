@@ -1,6 +1,6 @@
 """The hand at the device: a minimum-acceleration plan, motor noise, and an arm that a force can push.
 
-Metres of the hand, newtons, seconds. Scalar and compiled; an arm and a person are records of `ARM_STATE` and `PERSON`.
+Meters of the hand, newtons, seconds. Scalar and compiled; an arm and a person are records of `ARM_STATE` and `PERSON`.
 """
 
 from math import exp, hypot, sqrt
@@ -43,7 +43,7 @@ STEADY = (0.0, 0.0, 0.0, 0.0)  # no motor noise
 
 @njit(cache=True)
 def rest(arm, person):
-    """The hand still at the centre, and nothing planned."""
+    """The hand still at the center, and nothing planned."""
     arm.hand_x = arm.hand_y = arm.hand_v_x = arm.hand_v_y = 0.0
     arm.muscle_x = arm.muscle_y = arm.effort = 0.0
     arm.end_v_x = arm.end_v_y = 0.0
@@ -74,7 +74,7 @@ def cubic(away_x, away_y, v_x, v_y, end_v_x, end_v_y, seconds):
 def start_of_plan(arm, person):
     """Where a plan made now can begin: x, y, vx, vy of the hand once the muscles follow, until then moved as planned.
 
-    What is commanded now moves the hand only after their lag; a practised person plans from there.
+    What is commanded now moves the hand only after their lag; a practiced person plans from there.
     """
     lag = person.muscle_lag
     now_x, now_y = _planned_velocity(arm, person, arm.plan_age)
@@ -195,7 +195,7 @@ def move_arm(arm, person, noise, stiffness, push_x, push_y, force_x, force_y, dt
         (M_h + M_dev) x'' = a + F_v + K_h (r_exec - x) + B_h (r'_exec - x') + b_dev (r' - x') + F_HG
         tau_m a' = -a + (M_h + M_dev) r''(t + tau_m)
 
-    The command runs ahead of the plan by the muscle's own lag, which a practised motor system has learned.
+    The command runs ahead of the plan by the muscle's own lag, which a practiced motor system has learned.
 
     Args:
         noise: of the plan's velocity, four numbers: along and across it as shares of its size, then x and y in m/s.

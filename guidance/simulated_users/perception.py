@@ -1,6 +1,6 @@
 """What a person sees, and where they expect the puck: delay, noise, and straight lines with mirrors at the walls.
 
-All lengths here are metres of the table in the person's own frame: x toward the opponent, own goal at x = -length/2.
+All lengths here are meters of the table in the person's own frame: x toward the opponent, own goal at x = -length/2.
 """
 
 from math import cos, exp, expm1, hypot, log, log1p, pi, sin, sqrt
@@ -43,8 +43,8 @@ def perceived_velocity(person, mind, vx, vy):
     speed = hypot(vx, vy)
     if speed == 0.0:
         return 0.0, 0.0
-    judged = log1p(speed * person.degrees_per_metre / person.weber_floor) + person.speed_noise * mind.speed_error
-    ratio = max(person.weber_floor * expm1(judged) / person.degrees_per_metre, 0.0) / speed
+    judged = log1p(speed * person.degrees_per_meter / person.weber_floor) + person.speed_noise * mind.speed_error
+    ratio = max(person.weber_floor * expm1(judged) / person.degrees_per_meter, 0.0) / speed
     return _turn(vx * ratio, vy * ratio, person.heading_noise * mind.heading_error)
 
 

@@ -127,7 +127,7 @@ class Population:
     bounce_noise: LogNormal
     bounce_insight: Signed
     noise_memory: Share
-    degrees_per_metre: Positive
+    degrees_per_meter: Positive
     weber_floor: Positive
     # judging the situation
     still: float

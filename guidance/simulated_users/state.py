@@ -2,7 +2,7 @@
 
 import numpy as np
 
-# One record a person. Seconds, metres of the hand and newtons, unless said otherwise.
+# One record a person. Seconds, meters of the hand and newtons, unless said otherwise.
 USER_STATE = np.dtype(
     [
         ("age", np.int64),  # ticks since the round began

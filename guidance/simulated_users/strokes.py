@@ -1,6 +1,6 @@
 """Where the hand has to be, and when, for each thing a person can want to do with the puck.
 
-Metres of the table in the person's own frame, seconds. A move is (x, y, vx, vy, seconds): where the paddle should
+Meters of the table in the person's own frame, seconds. A move is (x, y, vx, vy, seconds): where the paddle should
 be, how fast it should go there, and in how long.
 """
 
@@ -49,7 +49,7 @@ def move_seconds(person, hand_x, hand_y, x, y, table):
 
 @njit(cache=True, inline="always")
 def guard_x(person, table):
-    """The x of this person's home and line of defence."""
+    """The x of this person's home and line of defense."""
     return -table.length / 2 + person.guard_nearest + person.guard_range * person.guard_depth
 
 
@@ -206,7 +206,7 @@ def strike(person, arm, path, speed, wall, aim_y, earliest, effort, table):
 
 @njit(cache=True)
 def block(person, path, table):
-    """Where and when the puck will cross the own line of defence; the paddle stays near the goal's mouth.
+    """Where and when the puck will cross the own line of defense; the paddle stays near the goal's mouth.
 
     Returns:
         x, y, and the seconds until the puck is there; infinite if it does not come.

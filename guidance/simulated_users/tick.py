@@ -74,7 +74,7 @@ def _ticks(seconds, tick):
 
 @njit(cache=True)
 def begin_round(person, mind, arms):
-    """The hand at rest at the centre, nothing seen or wanted; trust and co-contraction stay."""
+    """The hand at rest at the center, nothing seen or wanted; trust and co-contraction stay."""
     for index in range(len(arms)):
         rest(arms[index], person)
     mind.age = 0

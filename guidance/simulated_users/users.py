@@ -28,7 +28,7 @@ class SimulatedUsers:
         streams: (n,) uint64, one stream of random numbers each, see `personal_streams`; copied.
         table: the `TableSpec` they know by practice.
         variant: "V0" passive arm, "V1" comply or resist (the primary), "V2" V1 and goal sharing.
-        mentors: the players whose judgement people have learned from; None for nobody's.
+        mentors: the players whose judgment people have learned from; None for nobody's.
 
     Raises:
         ValueError: a shape, dtype or variant is wrong.
@@ -66,7 +66,7 @@ class SimulatedUsers:
         self.new_game(np.ones(self.n, dtype=bool))
 
     def new_round(self, which: np.ndarray) -> None:
-        """Those of the boolean mask `which` (n,) begin a round: the hand at the centre, nothing seen or felt yet."""
+        """Those of the boolean mask `which` (n,) begin a round: the hand at the center, nothing seen or felt yet."""
         begin_rounds(self.people, self._minds, self._arms, self._tallies, self._action, self._mask(which))
 
     def new_game(self, which: np.ndarray) -> None:

@@ -16,10 +16,10 @@ from airhockey_marl.experiment.files import atomic_write
 from guidance.statistics.paper import EVIDENCE
 from guidance.statistics.tests import BEYOND, METRICS, Condition, Metric, conditions_of
 
-# Okabe and Ito's colours, which people with any kind of colour vision can tell apart
-COLOURS = {"NHG": "#8C8C8C", "OAHG": "#E69F00", "UPHG": "#0072B2", "CombHG": "#009E73", BEYOND: "#CC79A7"}
+# Okabe and Ito's colors, which people with any kind of color vision can tell apart
+COLORS = {"NHG": "#8C8C8C", "OAHG": "#E69F00", "UPHG": "#0072B2", "CombHG": "#009E73", BEYOND: "#CC79A7"}
 SCALE = (1, 7)  # of the ratings
-SIDES = (("#0072B2", "o", -0.16), ("#E69F00", "D", 0.16))  # colour, marker and shift of two groups side by side
+SIDES = (("#0072B2", "o", -0.16), ("#E69F00", "D", 0.16))  # color, marker and shift of two groups side by side
 
 
 def save_figure(draw: Callable[[], Figure], folder: Path, name: str, dpi: int) -> bytes:
@@ -55,7 +55,7 @@ def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = (), people: bool 
 
     Returns:
         Eight panels, the objective metrics above, the ratings or their proxies below; a bar per condition present in
-        the colour of its guidance type, with the mean's 95 % confidence interval. A metric that is undefined in a
+        the color of its guidance type, with the mean's 95 % confidence interval. A metric that is undefined in a
         condition, as disagreement is without guidance, has a dash in place of its bar.
     """
     present = conditions_of(trials)
@@ -71,7 +71,7 @@ def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = (), people: bool 
             people,
         )
     legend = [
-        Patch(color=COLOURS[condition.guidance], label=f"({condition.letter}) {condition.label}")
+        Patch(color=COLORS[condition.guidance], label=f"({condition.letter}) {condition.label}")
         for condition in present.values()
     ]
     style = {"frameon": False, "fontsize": 8.5, "handlelength": 1.1, "columnspacing": 1.4, "handletextpad": 0.5}
@@ -85,7 +85,7 @@ def _draw_bars(
     """Draw one panel; scores (participants, conditions)."""
     places = np.arange(len(conditions))
     mean, half = scores.mean().to_numpy(), confidence_half_width(scores).to_numpy()
-    axes.bar(places, mean, width=0.72, color=[COLOURS[condition.guidance] for condition in conditions])
+    axes.bar(places, mean, width=0.72, color=[COLORS[condition.guidance] for condition in conditions])
     drawn = np.isfinite(half)
     axes.errorbar(places[drawn], mean[drawn], half[drawn], fmt="none", ecolor="#222222", elinewidth=1.1, capsize=3)
     rating = metric.kind == "subjective"
@@ -136,12 +136,12 @@ def means_beside(trials: Mapping[str, pd.DataFrame], people: Collection[str]) ->
         len(proxies), f"7-point rating\n(PROXY of {', '.join(proxies)})"
     )
     for axes, (metric, about) in zip(panels, METRICS.items(), strict=True):
-        for (name, group), (colour, marker, shift) in zip(trials.items(), SIDES, strict=True):
+        for (name, group), (color, marker, shift) in zip(trials.items(), SIDES, strict=True):
             scores = group.pivot(index="user", columns="condition", values=metric).reindex(columns=list(conditions))
             mean, half = scores.mean().to_numpy(float), confidence_half_width(scores).to_numpy(float)
             places, drawn = np.arange(len(conditions)) + shift, np.isfinite(half)
-            axes.plot(places, mean, marker, color=colour, markersize=5.5, label=f"{name} (n = {len(scores)})")
-            axes.errorbar(places[drawn], mean[drawn], half[drawn], fmt="none", ecolor=colour, elinewidth=1.2, capsize=2)
+            axes.plot(places, mean, marker, color=color, markersize=5.5, label=f"{name} (n = {len(scores)})")
+            axes.errorbar(places[drawn], mean[drawn], half[drawn], fmt="none", ecolor=color, elinewidth=1.2, capsize=2)
         rating = about.kind == "subjective"
         if rating:
             axes.set_ylim(SCALE[0] - 0.2, SCALE[1] + 0.2)
@@ -188,12 +188,12 @@ def robustness_map(findings: pd.DataFrame) -> Figure:
         if withdrawn[row, column] == 1:
             cells.text(column, row, "withdrawn", ha="center", va="center", fontsize=6.5, color="#888888")
             continue
-        dark, centre = shares[row, column] > 0.7, {"va": "center", "ha": "center"}
+        dark, center = shares[row, column] > 0.7, {"va": "center", "ha": "center"}
         text = f"{100 * shares[row, column]:.0f}"
-        cells.text(column, row, text, fontsize=7.5, color="white" if dark else "#222222", **centre)
+        cells.text(column, row, text, fontsize=7.5, color="white" if dark else "#222222", **center)
         if reversed_[row, column] >= 0.05:
-            text, colour = f"{100 * reversed_[row, column]:.0f}", "#ffb3a0" if dark else "#c0392b"
-            cells.text(column + 0.36, row, text, fontsize=6.5, color=colour, fontweight="bold", **centre)
+            text, color = f"{100 * reversed_[row, column]:.0f}", "#ffb3a0" if dark else "#c0392b"
+            cells.text(column + 0.36, row, text, fontsize=6.5, color=color, fontweight="bold", **center)
     cells.set_xticks(range(len(groups)), groups, fontsize=8)
     cells.xaxis.tick_top()
     labels = []

@@ -15,7 +15,7 @@ from guidance.statistics.tests import METRICS
 from guidance.study.replication import ALIKE, AS_IT_IS, SWAPPED, batches_of
 
 
-def summarise(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame) -> str:
+def summarize(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame) -> str:
     """Test every study and write tables, figure and page; what the screen says is returned."""
     withdrawn, outcomes, scores = list(cfg.users.withdrawn), [], []
     for batch in batches_of(cfg):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from airhockey_marl.experiment.validation import check_counts, check_numbers, kind_of, labelled
+from airhockey_marl.experiment.validation import check_counts, check_numbers, kind_of, labeled
 
 
 @dataclass(frozen=True)
@@ -13,24 +13,24 @@ class Protocol:
     """How long a game is (section 4.2).
 
     Attributes:
-        familiarisation: s of unscored play before each game.
+        familiarization: s of unscored play before each game.
         rounds: rounds of a game.
         extra_rounds: at most so many more, while the game is shorter than `min_seconds`.
         min_seconds: s.
         round_seconds: s after which a round without a goal ends undecided.
     """
 
-    familiarisation: float
+    familiarization: float
     rounds: int
     extra_rounds: int
     min_seconds: float
     round_seconds: float
 
     def __post_init__(self) -> None:
-        for name, least in (("familiarisation", 0), ("rounds", 1), ("extra_rounds", 0), ("min_seconds", 0)):
+        for name, least in (("familiarization", 0), ("rounds", 1), ("extra_rounds", 0), ("min_seconds", 0)):
             check = check_counts if name.endswith("rounds") else check_numbers
-            check(least, **labelled(self, "study", name))
-        check_numbers(above=0.0, **labelled(self, "study", "round_seconds"))
+            check(least, **labeled(self, "study", name))
+        check_numbers(above=0.0, **labeled(self, "study", "round_seconds"))
 
 
 class ProtocolState:
@@ -38,7 +38,7 @@ class ProtocolState:
 
     Attributes:
         playing: (k,) int64, the games that are on, ascending; a new array whenever one has ended.
-        scored: whether the familiarisation is over.
+        scored: whether the familiarization is over.
         rounds, ticks: (n,) rounds that are over, and ticks of scored play.
     """
 
@@ -46,7 +46,7 @@ class ProtocolState:
         check_counts(n=n)
         check_numbers(above=0.0, tick_seconds=tick_seconds)
         self.protocol, self.tick_seconds = protocol, tick_seconds
-        self.unscored_ticks = round(protocol.familiarisation / tick_seconds)
+        self.unscored_ticks = round(protocol.familiarization / tick_seconds)
         self.playing, self.scored, self._elapsed = np.arange(n), False, 0
         self.rounds, self.ticks, self._round_ticks = np.zeros((3, n), dtype=np.int64)
 

@@ -83,7 +83,7 @@ def run_studies(
         _, unscored = games_of([CALIBRATION_GAME], no_force, "unscored game", demonstrations=True)
         adapted = models.adapted_to(unscored.demonstrations)
         if swapped:
-            adapted = adapted[_neighbours([len(cohort.people) for cohort in cohorts])]
+            adapted = adapted[_neighbors([len(cohort.people) for cohort in cohorts])]
 
     guide = BatchedGuidance(conditions, len(people), models, adapted, lookahead_seconds)
 
@@ -109,7 +109,7 @@ def run_studies(
     return trials
 
 
-def _neighbours(sizes: Sequence[int]) -> torch.Tensor:
+def _neighbors(sizes: Sequence[int]) -> torch.Tensor:
     """For everybody the number of the person before in the same cohort, for its first person the last."""
     firsts = np.cumsum([0, *sizes[:-1]])
     return torch.from_numpy(

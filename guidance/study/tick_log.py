@@ -28,7 +28,7 @@ _PADDLES = {
     f"{body}_{part}": (f"{what}, {axis} of its {of}", unit)
     for body, what in (("own", "the own paddle"), ("other", "the opponent's paddle"), ("puck", "the puck"))
     for part, axis, of, unit in (
-        ("x", "x", "place: from the table's centre toward the opponent", "m"),
+        ("x", "x", "place: from the table's center toward the opponent", "m"),
         ("y", "y", "place: to the left", "m"),
         ("vx", "x", "velocity", "m/s"),
         ("vy", "y", "velocity", "m/s"),
@@ -44,14 +44,14 @@ _TARGETS = {
     for axis in "xy"
 }
 _MEANINGS = {
-    "time_s": ("time at the tick's end since the game, or its familiarisation, began", "s"),
-    "scored": ("1 in the game itself, 0 in the familiarisation before it", "1"),
+    "time_s": ("time at the tick's end since the game, or its familiarization, began", "s"),
+    "scored": ("1 in the game itself, 0 in the familiarization before it", "1"),
     "round": ("number of the round, from 1", "1"),
     "won": ("rounds that the person has won, with this tick", "1"),
     "lost": ("rounds that the opponent has won, with this tick", "1"),
     "goal": ("1 if the person scored in this tick, -1 if the opponent did, else 0", "1"),
     "held": ("1 if the hand was at the device", "1"),
-    "hand_x": ("where the hand was, from the centre of its workspace toward the opponent", "m"),
+    "hand_x": ("where the hand was, from the center of its workspace toward the opponent", "m"),
     "hand_y": ("where the hand was, to the left", "m"),
     **_PADDLES,
     **_TARGETS,

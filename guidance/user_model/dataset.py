@@ -22,7 +22,7 @@ from guidance.user_model.rounds import hand_speed, round_begins
 TENSORS, ROWS, PEOPLE, CARD = "demonstrations", "demonstrations.parquet", "people.csv", "card.json"
 ABOUT = "air hockey without guidance, played by SIMULATED people: no human being took part"
 FRAME = (
-    "from the table's centre, x toward the opponent, y to the user's left; an action is where the hand is over its "
+    "from the table's center, x toward the opponent, y to the user's left; an action is where the hand is over its "
     f"reach of {HAND_REACH} m, 0 sends the paddle to the middle of its side, +-1 to the ends; a round begins where "
     "both paddles are at rest in the middle of their sides and puck_x is 0"
 )

@@ -6,11 +6,11 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from guidance.simulated_users.validation.figures import BLUE, GREEN, GREY, ORANGE, plain, save
+from guidance.simulated_users.validation.figures import BLUE, GRAY, GREEN, ORANGE, plain, save
 
 LOOKS = {
-    "persistence": (GREY, ":"),
-    "extrapolation": (GREY, "-"),
+    "persistence": (GRAY, ":"),
+    "extrapolation": (GRAY, "-"),
     "supervised": (GREEN, "-"),
     "before_ua": (ORANGE, "--"),
     "after_ua": (BLUE, "-"),
@@ -24,14 +24,14 @@ def draw_ahead(found: Mapping, names: Mapping[str, str], path: Path) -> None:
         (panels[0], "rmse", "Error", "root mean square, units of action"),
         (panels[1], "gain", "Gain over moving the paddle on", "share of that error"),
     ):
-        for name, (colour, style) in LOOKS.items():
+        for name, (color, style) in LOOKS.items():
             rows = [row for row in found["ahead"] if row["predictor"] == name]
             at, mean = [row["ahead_s"] for row in rows], np.array([row[measure]["mean"] for row in rows])
             half = [row[measure]["high"] - row[measure]["mean"] for row in rows]
-            axes.errorbar(at, mean, half, color=colour, ls=style, capsize=3, marker="o", ms=3, label=names[name])
+            axes.errorbar(at, mean, half, color=color, ls=style, capsize=3, marker="o", ms=3, label=names[name])
         plain(axes, title, "s ahead", label)
     panels[0].legend(frameon=False, fontsize=8)
-    panels[1].axhline(0.0, color=GREY, lw=0.8)
+    panels[1].axhline(0.0, color=GRAY, lw=0.8)
     low = min(row["gain"]["low"] for row in found["ahead"] if row["predictor"] not in ("persistence", "extrapolation"))
     panels[1].set_ylim(bottom=min(-0.1, 1.15 * low))
     save(figure, path)
@@ -44,7 +44,7 @@ def draw_adaptation(found: Mapping, names: Mapping[str, str], path: Path) -> Non
     excess = 100 * (matrix / matrix.diagonal() - 1)
     most = max(np.abs(excess).max(), 1e-9)
     shown = panels[0].imshow(excess, cmap="PuOr_r", vmin=-most, vmax=most)
-    figure.colorbar(shown, ax=panels[0], label="% more than their own model's", line_search_shrink=0.85)
+    figure.colorbar(shown, ax=panels[0], label="% more than their own model's", shrink=0.85)
     panels[0].xaxis.get_major_locator().set_params(integer=True)
     panels[0].yaxis.get_major_locator().set_params(integer=True)
     plain(panels[0], "Error of the row's model on the column", "person", "model adapted to")
@@ -71,10 +71,10 @@ def draw_reliability(found: Mapping, names: Mapping[str, str], path: Path) -> No
     """What the STD says against what the errors are: on the diagonal where it is right."""
     figure, axes = plt.subplots(figsize=(4.4, 4), layout="constrained")
     for name, pairs in found["reliability"].items():
-        colour, style = LOOKS[name]
-        axes.loglog(pairs["said"], pairs["seen"], color=colour, ls=style, marker="o", ms=4, label=names[name])
+        color, style = LOOKS[name]
+        axes.loglog(pairs["said"], pairs["seen"], color=color, ls=style, marker="o", ms=4, label=names[name])
     ends = np.array([*axes.get_xlim(), *axes.get_ylim()])
-    axes.plot([ends.min(), ends.max()], [ends.min(), ends.max()], color=GREY, lw=0.8)
+    axes.plot([ends.min(), ends.max()], [ends.min(), ends.max()], color=GRAY, lw=0.8)
     plain(axes, "Is the STD right?", "norm of the STD, units of action", "error, root mean square")
     axes.legend(frameon=False, fontsize=8)
     save(figure, path)

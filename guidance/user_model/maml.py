@@ -42,7 +42,7 @@ DataLoss = Callable[[TensorDict, Any], Tensor]
 def parameters(model: nn.Module) -> TensorDict:
     """The parameters of ``model``, nested like its modules.
 
-    They are the very tensors, not copies: gradients arrive where an optimiser of ``model.parameters()`` looks. Unlike
+    They are the very tensors, not copies: gradients arrive where an optimizer of ``model.parameters()`` looks. Unlike
     ``TensorDict.from_module`` it leaves buffers out (a gradient step must not move a constant) and names a parameter
     shared by two modules once (else the copies would drift apart).
     """

@@ -15,7 +15,7 @@ def round_begins(observation: torch.Tensor, table: TableSpec) -> torch.Tensor:
 
 
 def hand_speed(observation: torch.Tensor, action: torch.Tensor, table: TableSpec) -> torch.Tensor:
-    """(..., ticks) m/s, the hand's mean speed in each tick of play; a round begins with the hand at its centre."""
+    """(..., ticks) m/s, the hand's mean speed in each tick of play; a round begins with the hand at its center."""
     check_tensors(CPU, observation=(observation, "... ticks 12"), action=(action, "... ticks 2"))
     begins = round_begins(observation, table)
     before = action.roll(1, dims=-2).masked_fill(begins[..., None], 0.0)

@@ -1,4 +1,4 @@
-"""What this project is built on: every distribution pinned exactly, as it is installed, and under a licence we know."""
+"""What this project is built on: every distribution pinned exactly, as it is installed, and under a license we know."""
 
 import re
 from importlib.metadata import PackageNotFoundError, distribution
@@ -11,7 +11,7 @@ from packaging.version import Version
 from tests import ROOT
 
 OURS, EXTRAS = "airhockey-haptics", ("bench", "dev", "forcedimension", "lsl")
-LICENCES = ROOT / "LICENCES.md"
+LICENCES = ROOT / "THIRD_PARTY.md"
 # torch has a build for each kind of machine, all of one version, which pyproject.toml pins; and some bring more
 OF_THE_MACHINE = ("triton", "nvidia-", "cuda-")
 
@@ -48,7 +48,7 @@ def installed() -> dict[str, str]:
 
 
 def licensed() -> dict[str, str]:
-    """Licence by name, as LICENCES.md has them."""
+    """License by name, as THIRD_PARTY.md has them."""
     rows = re.findall(r"^\| ([a-z0-9-]+) \| ([^|]+) \|$", LICENCES.read_text(), re.M)
     return dict(rows[1:])  # after the heads of the columns
 
@@ -77,5 +77,5 @@ def test_every_pin_is_one_version_without_room():
         assert re.fullmatch(r"\d+(\.\d+)*(\.?(post|rc|a|b)\d+)?", version), f"{name}=={version}"
 
 
-def test_every_pinned_distribution_has_a_licence_on_the_list():
+def test_every_pinned_distribution_has_a_license_on_the_list():
     assert licensed().keys() == pins().keys() | {"torch"}

@@ -1,6 +1,6 @@
 """Devices that a hand holds and a force can push: all that the servo asks of one.
 
-Of the hand: m from the centre of the workspace, x toward the opponent, y to one's left, as on the table.
+Of the hand: m from the center of the workspace, x toward the opponent, y to one's left, as on the table.
 """
 
 from typing import TYPE_CHECKING, Protocol
@@ -20,7 +20,7 @@ class Device(Protocol):
 
     @property
     def position(self) -> Pair:
-        """(2,) m, the hand from the centre."""
+        """(2,) m, the hand from the center."""
 
     @property
     def velocity(self) -> Pair:

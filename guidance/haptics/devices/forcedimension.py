@@ -51,7 +51,7 @@ class ForceDimension:
 
     Args:
         index: of the device among those connected; None for the first that is free.
-        centre: (3,) m in the SDK's frame, where the game's centre and plane are.
+        center: (3,) m in the SDK's frame, where the game's center and plane are.
         plane_stiffness: N/m, of the spring that holds the plane.
         plane_damping: N s/m, of its damper. Both must suit the device and 1 kHz: too much, and it hums.
         plane_force: N, the clip of both together.
@@ -69,7 +69,7 @@ class ForceDimension:
     def __init__(
         self,
         index: int | None = None,
-        centre: tuple[float, float, float] = (0.0, 0.0, 0.0),
+        center: tuple[float, float, float] = (0.0, 0.0, 0.0),
         plane_stiffness: float = 600.0,
         plane_damping: float = 3.0,
         plane_force: float = 4.0,
@@ -83,9 +83,9 @@ class ForceDimension:
         ):
             if not (isfinite(value) and value >= 0) or (name == "most" and value == 0):
                 raise ValueError(f"{name} = {value} must be a number {'above' if name == 'most' else 'of at least'} 0")
-        if len(centre) != 3 or not all(map(isfinite, centre)):
-            raise ValueError(f"centre = {centre} must be three numbers, in m")
-        self._centre = tuple(map(float, centre))
+        if len(center) != 3 or not all(map(isfinite, center)):
+            raise ValueError(f"center = {center} must be three numbers, in m")
+        self._center = tuple(map(float, center))
         self._stiffness, self._damping, self._plane_force, self._most = (
             plane_stiffness,
             plane_damping,
@@ -145,7 +145,7 @@ class ForceDimension:
 
     @property
     def position(self) -> Pair:
-        """(2,) m, the hand from the centre.
+        """(2,) m, the hand from the center.
 
         Raises:
             DeviceError: it cannot be read.
@@ -155,7 +155,7 @@ class ForceDimension:
         self._at_time = time.perf_counter()
         passed = max(self._at_time - was_time, 1e-6)
         self._came = [(now - then) / passed for now, then in zip(self._at, was, strict=True)]
-        return self._centre[0] - self._at[0], self._centre[1] - self._at[1]
+        return self._center[0] - self._at[0], self._center[1] - self._at[1]
 
     @property
     def velocity(self) -> Pair:
@@ -189,7 +189,7 @@ class ForceDimension:
             raise DeviceError(f"no force was set for {1000 * pause:.0f} ms, so the device's watchdog has dropped it")
         self._grip += 1 / GRIP_STEPS if self._held else -1 / LET_GO_STEPS
         self._grip = min(max(self._grip, 0.0), 1.0)
-        up = self._stiffness * (self._centre[2] - self._at[2]) - self._damping * self._moving[2]
+        up = self._stiffness * (self._center[2] - self._at[2]) - self._damping * self._moving[2]
         x, y, z = -force[0], -force[1], self._grip * min(max(up, -self._plane_force), self._plane_force)
         norm = hypot(x, y, z)
         if not isfinite(norm):

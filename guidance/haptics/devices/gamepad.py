@@ -85,7 +85,7 @@ class Gamepad(PointedHand):
 
     @property
     def position(self) -> Pair:
-        """(2,) m, the hand from the centre.
+        """(2,) m, the hand from the center.
 
         Raises:
             DeviceError: the pad is gone.

@@ -50,7 +50,7 @@ class PointedHand:
 
     @property
     def position(self) -> Pair:
-        """(2,) m, the hand from the centre."""
+        """(2,) m, the hand from the center."""
         return self._position
 
     @property

@@ -34,7 +34,7 @@ class Simulated:
 
     @property
     def position(self) -> Pair:
-        """(2,) m, the hand from the centre."""
+        """(2,) m, the hand from the center."""
         x, y = self.users.hand[0]
         return float(x), float(y)
 

@@ -16,7 +16,7 @@ from guidance.simulated_users.validation.playstyles import STEEP, blows
 
 matplotlib.use("Agg")
 
-BLUE, ORANGE, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#8a8f98"  # Okabe and Ito's, and a neutral one
+BLUE, ORANGE, GREEN, GRAY = "#0072B2", "#D55E00", "#009E73", "#8a8f98"  # Okabe and Ito's, and a neutral one
 SOFT = 0.8  # m/s of the puck: slower blows were meant to stop it
 SHOTS = ("soft", "straight", "over the left wall", "over the right wall")
 
@@ -49,7 +49,7 @@ def draw_speeds(data: Reaches, path: Path) -> None:
     axes.fill_between(share, low, high, color=BLUE, alpha=0.2, lw=0, label="80 % of reaches")
     axes.plot(share, middle, color=BLUE, lw=2, label="median")
     bell = share**2 * (1 - share) ** 2
-    axes.plot(share, bell / bell.max(), color=GREY, ls="--", label="minimum jerk")
+    axes.plot(share, bell / bell.max(), color=GRAY, ls="--", label="minimum jerk")
     plain(axes, f"Speed of the hand in {len(profiles)} reaches", "share of the movement", "share of its peak")
     axes.legend(frameon=False, fontsize=8)
     save(figure, path)
@@ -59,10 +59,10 @@ def draw_push(pushed: Mapping[str, tuple[np.ndarray, np.ndarray]], path: Path) -
     """How far hands that hold still give way to 2 N for a second, by variant: median and quartiles."""
     figure, axes = plt.subplots(figsize=(5, 3.4), layout="constrained")
     labels = {"V0": "V0 passive arm", "V1": "V1 comply or resist", "V2": "V2 and goal sharing"}
-    for (name, (seconds, off)), colour in zip(pushed.items(), (GREY, BLUE, ORANGE), strict=True):
+    for (name, (seconds, off)), color in zip(pushed.items(), (GRAY, BLUE, ORANGE), strict=True):
         low, middle, high = 1e3 * np.percentile(off, [25, 50, 75], axis=0)
-        axes.fill_between(seconds, low, high, color=colour, alpha=0.15, lw=0)
-        axes.plot(seconds, middle, color=colour, lw=2, label=labels.get(name, name))
+        axes.fill_between(seconds, low, high, color=color, alpha=0.15, lw=0)
+        axes.plot(seconds, middle, color=color, lw=2, label=labels.get(name, name))
     axes.axvspan(0.0, 1.0, color="#f0f1f4", zorder=0)
     axes.set_xlim(-0.2, 1.4)
     plain(axes, "A push of 2 N for one second", "s since the push began", "mm that the hand gives way")
@@ -86,7 +86,7 @@ def draw_places(play: Mapping[str, Tensor], table: TableSpec, path: Path) -> Non
         plain(axes, name.replace("_", " "))
         axes.set_xticks([])
         axes.set_yticks([])
-    figure.colorbar(shown, ax=panels[0], label="density, 1/m²", line_search_shrink=0.8)
+    figure.colorbar(shown, ax=panels[0], label="density, 1/m²", shrink=0.8)
     save(figure, path)
 
 
@@ -105,8 +105,8 @@ def draw_shots(play: Mapping[str, Tensor], table: TableSpec, path: Path) -> None
     begin = np.zeros(len(play))
     shares = np.array([kinds(seen, table) for seen in play.values()])
     names = [name.replace("_", " ") for name in play]
-    for kind, share, colour in zip(SHOTS, shares.T, (GREY, BLUE, ORANGE, GREEN), strict=True):
-        axes.barh(names, share, left=begin, color=colour, label=kind)
+    for kind, share, color in zip(SHOTS, shares.T, (GRAY, BLUE, ORANGE, GREEN), strict=True):
+        axes.barh(names, share, left=begin, color=color, label=kind)
         begin += share
     axes.invert_yaxis()
     plain(axes, "How the puck leaves the paddle", "share of blows")

@@ -70,7 +70,7 @@ def told_apart(known: np.ndarray, styles: np.ndarray, unseen: np.ndarray) -> np.
     return make_pipeline(StandardScaler(), LinearDiscriminantAnalysis()).fit(known, styles).predict(unseen)
 
 
-def recognised(one: np.ndarray, another: np.ndarray) -> float:
+def recognized(one: np.ndarray, another: np.ndarray) -> float:
     """Share of n people whose game in `another` (n, features) is, of all, the most like theirs in `one`.
 
     Distances are those of linear discriminants: by how much people differ from each other, rather than from themselves.

@@ -93,7 +93,7 @@ def play_anchor(
 
     def remember(users: SimulatedUsers, tick: int) -> np.ndarray:
         force = oracle_force(users)
-        course.append(np.roll(force, 1, axis=0))  # the neighbour's
+        course.append(np.roll(force, 1, axis=0))  # the neighbor's
         return force
 
     ticks, how = round(seconds / table.tick), (table, variant, mentors or NO_ADVISORS)

@@ -37,7 +37,7 @@ def test_the_potential_prefers_what_it_says():
     )
 
 
-SIDE = 1.038 / 2 - 0.03165  # m, where the puck's centre turns back
+SIDE = 1.038 / 2 - 0.03165  # m, where the puck's center turns back
 
 
 @pytest.mark.parametrize(

@@ -49,7 +49,7 @@ def maximum_likelihood(wins: np.ndarray, prior_rounds: float = 0.0) -> np.ndarra
 
 
 def ring(k: int) -> np.ndarray:
-    """Who met whom if everybody met only his two neighbours."""
+    """Who met whom if everybody met only his two neighbors."""
     place = np.arange(k)
     return np.isin((place[:, None] - place[None, :]) % k, (1, k - 1))
 

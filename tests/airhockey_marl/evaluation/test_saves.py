@@ -116,7 +116,7 @@ def stay(observation):
     return torch.full((len(observation), 2), math.nan)
 
 
-def test_defence_counts_shots_on_the_left_goal_and_can_be_repeated():
+def test_defense_counts_shots_on_the_left_goal_and_can_be_repeated():
     def striker(seed):
         return stochastic(SCRIPTED_PLAYERS["striker"], torch.Generator().manual_seed(seed))
 

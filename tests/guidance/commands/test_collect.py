@@ -152,7 +152,7 @@ def test_the_summary_counts_the_goals_that_fell(monkeypatch):
     assert np.allclose(found["conceded_per_minute"] * minutes, (fell == -1).sum((0, 2)))
     hand = 0.075 * data.action[0].double()
     before = torch.cat([torch.zeros(GAMES, 1, 2), hand[:, :-1]], dim=1)
-    before[:, 1:][torch.from_numpy(fell[:, 0].T != 0)] = 0.0  # a goal puts it back at the centre
+    before[:, 1:][torch.from_numpy(fell[:, 0].T != 0)] = 0.0  # a goal puts it back at the center
     speed = (hand - before).norm(dim=-1) / 0.02
     assert found["hand_m_s_mean"][0] == pytest.approx(speed.mean().item(), rel=1e-5)
     assert found["hand_m_s_sd"][0] == pytest.approx(speed.std().item(), rel=1e-3)

@@ -78,7 +78,7 @@ def test_what_is_recorded_says_what_was_played(two):
     game = ticks[ticks["scored"] == 1]
     row = trials.loc["S1", "oahg_ut"]
     assert game["round"].max() == row["rounds"] and len(game) * 0.02 == pytest.approx(row["duration_s"])
-    assert len(ticks) - len(game) == 50  # the familiarisation, 1 s in this preset
+    assert len(ticks) - len(game) == 50  # the familiarization, 1 s in this preset
     assert np.isclose(game["w_unc_optimal"].mean(), row["w_unc_optimal_mean"])
     assert about["Condition"] == "oahg_ut" and about["Ratings"] == {name: row[name] for name in RATINGS}
     assert about["Facts"]["title"] == "OAHG (UT)" and about["Facts"]["questions"].keys() == set(RATINGS)

@@ -144,7 +144,7 @@ def test_the_log_is_the_game_of_the_study(models):
     play_games(users, absent, forces, Protocol(40, 1, 0, 0, 60), TABLE, spawn_rng_states(3, [0], 0, 1))
     ticks, seen = play(models, NHG, 40, absent), np.array(states)[:2000]
     assert np.array_equal(ticks[[*STATE, "hand_x", "hand_y"]], seen)
-    acted = ticks["goal"] == 0  # with a new round the hand is back at the centre
+    acted = ticks["goal"] == 0  # with a new round the hand is back at the center
     assert np.array_equal(HAND_REACH * ticks.loc[acted, ACTION].to_numpy()[:-1], seen[1:, 12:][acted[:-1]])
     assert 0 < ticks[["won", "lost"]].iloc[-1].sum() == ticks["goal"].abs().sum() == ticks["round"].iloc[-1] - 1
 
@@ -196,7 +196,7 @@ def test_the_ellipse_reaches_one_std_from_the_target(model):
 
 
 @pytest.mark.parametrize("used", TARGETS)
-def test_the_film_has_the_colours_of_its_pictures(tmp_path, used):
+def test_the_film_has_the_colors_of_its_pictures(tmp_path, used):
     stds = {f"{model}_std_{axis}": 0.3 for model in TARGETS for axis in "xy"}
     ticks = pd.concat([still(**stds, force_x=2.0, w_sim=0.5)] * 2, ignore_index=True)
     scene = replace(SCENE, used=frozenset({used}))

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec
-from airhockey_marl.envs.rendering import COLOURS, FELT
+from airhockey_marl.envs.rendering import COLORS, FELT
 from guidance.display.arena import Arena
 from guidance.display.film import ARROW, FORCE, PAPER, TARGETS
 from guidance.display.pages import Items, Page
@@ -49,16 +49,16 @@ def shown(window: Window, now: DisplayState) -> np.ndarray:
     return window.screenshot().astype(int)
 
 
-def colour_at(window: Window, picture: np.ndarray, x: float, y: float) -> tuple[int, ...]:
+def color_at(window: Window, picture: np.ndarray, x: float, y: float) -> tuple[int, ...]:
     column, row = window.arena.pixel(np.array([x, y]))
     return tuple(picture[round(row) + BAR, round(column)])
 
 
 def test_the_puck_and_the_paddles_are_where_they_are(window):
     picture = shown(window, moment(hand=np.array([0.9, 0.9])))
-    assert colour_at(window, picture, 0.2, 0.3) == COLOURS[PUCK]
-    assert colour_at(window, picture, -0.5 + 0.036, 0.1) == COLOURS[LEFT]
-    assert colour_at(window, picture, 0.6 - 0.036, -0.2) == COLOURS[RIGHT]
+    assert color_at(window, picture, 0.2, 0.3) == COLORS[PUCK]
+    assert color_at(window, picture, -0.5 + 0.036, 0.1) == COLORS[LEFT]
+    assert color_at(window, picture, 0.6 - 0.036, -0.2) == COLORS[RIGHT]
 
 
 def test_nothing_changes_where_nothing_moves_and_the_puck_changes_where_it_was_and_is(window):
@@ -77,8 +77,8 @@ def test_between_two_ticks_a_body_is_between_two_places(window):
     later = STATE.copy()
     later[8:10] = 0.3, 0.3
     picture = shown(window, DisplayState(state=later, last=STATE, share=0.5, hand=np.array([0.9, 0.9])))
-    assert colour_at(window, picture, 0.25, 0.3) == COLOURS[PUCK]
-    assert colour_at(window, picture, 0.25 + 0.04, 0.3) != COLOURS[PUCK]
+    assert color_at(window, picture, 0.25, 0.3) == COLORS[PUCK]
+    assert color_at(window, picture, 0.25 + 0.04, 0.3) != COLORS[PUCK]
 
 
 @pytest.mark.parametrize("force", [(2.0, 0.0), (0.0, 1.5), (-1.5, 1.5), (1.0, -2.5)])
@@ -107,7 +107,7 @@ def test_a_serve_leaves_no_trail_across_the_table(window):
     served[8:10] = -0.4, -0.4
     window.frame(moment(state=served))
     picture = window.screenshot().astype(int)
-    assert colour_at(window, picture, -0.1, -0.05) == FELT
+    assert color_at(window, picture, -0.1, -0.05) == FELT
 
 
 def test_targets_are_shown_when_asked_for_and_only_where_they_may_be(window):
@@ -249,7 +249,7 @@ def test_the_mouse_can_be_seen_where_it_answers(window):
 def test_before_a_game_there_is_an_empty_table(window):
     window.frame(DisplayState(title="Game 1 of 9"))
     picture = window.screenshot().astype(int)[BAR : BAR + window.arena.size[1]]
-    assert not any((picture == COLOURS[body]).all(axis=2).any() for body in (PUCK, RIGHT))
+    assert not any((picture == COLORS[body]).all(axis=2).any() for body in (PUCK, RIGHT))
 
 
 def test_a_questionnaire_by_keys(window):
@@ -268,7 +268,7 @@ def test_a_questionnaire_by_mouse_and_what_is_chosen_is_seen(window):
         for event in window._events():
             items.click(event.pos, size)
         items.draw(window.surface)
-        assert window.surface.get_at((box.left + 4, box.centery))[:3] == COLOURS[LEFT]
+        assert window.surface.get_at((box.left + 4, box.centery))[:3] == COLORS[LEFT]
         assert items.answers[name] == point
     items.press("0")
     items.press("8")
@@ -288,7 +288,7 @@ def test_every_text_fits(width):
 
     window = Window("test", TableSpec(), width, 60, SimulatedClock(), {})
     long = {"return": "begin", "s": "no practice"}
-    numbers = {"familiarisation": 30, "rounds": 7, "most": 10, "number": 9, "games": 9}
+    numbers = {"familiarization": 30, "rounds": 7, "most": 10, "number": 9, "games": 9}
     nine = {str(i): "(i) CombHG (UT+UA+SC)" for i in range(1, 10)}
     with open("guidance/consent.txt", encoding="utf-8") as file:
         consent = file.read()

@@ -11,7 +11,7 @@ class Refused(OSError):
 
 
 class Still:
-    """A hand that keeps still at the centre."""
+    """A hand that keeps still at the center."""
 
     position = velocity = (0.0, 0.0)
     held = True

@@ -219,8 +219,8 @@ def test_a_missing_sdk_says_what_to_install(monkeypatch):
 def test_bad_numbers_are_refused_by_name_before_anything_is_opened(name, value):
     with pytest.raises(ValueError, match=rf"^{name} = {value} must be a number"):
         ForceDimension(**{name: value})
-    with pytest.raises(ValueError, match=r"^centre = \(0, 0\) must be three numbers"):
-        ForceDimension(centre=(0, 0))
+    with pytest.raises(ValueError, match=r"^center = \(0, 0\) must be three numbers"):
+        ForceDimension(center=(0, 0))
 
 
 # the hand
@@ -233,8 +233,8 @@ def test_the_axes_of_the_hand(device, sdk):
     assert position == (-0.03, 0.02) and velocity == (0.4, -0.1) and held is True
 
 
-def test_the_centre_is_where_it_is_said_to_be(sdk, clock):
-    device = ForceDimension(centre=(0.01, -0.02, 0.03), plane_stiffness=100.0, plane_damping=0.0)
+def test_the_center_is_where_it_is_said_to_be(sdk, clock):
+    device = ForceDimension(center=(0.01, -0.02, 0.03), plane_stiffness=100.0, plane_damping=0.0)
     sdk.at = (0.01, -0.02, 0.03)
     assert step(device)[0] == (0.0, 0.0)
     for _ in range(GRIP_STEPS):

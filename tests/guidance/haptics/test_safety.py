@@ -14,7 +14,7 @@ from airhockey_marl.experiment.command import CONF
 from guidance.haptics.safety import Safety, SafetyLimits, clip_norm
 
 STEP = 0.001
-CENTRE, STILL = (0.0, 0.0), (0.0, 0.0)
+CENTER, STILL = (0.0, 0.0), (0.0, 0.0)
 AT_ONCE = SafetyLimits(soft_start=0.0)  # no soft start
 ROUNDING = 1e-12
 
@@ -24,7 +24,7 @@ usual = st.tuples(st.floats(-8, 8), st.floats(-8, 8))
 within_reach = st.tuples(st.floats(-0.08, 0.08), st.floats(-0.08, 0.08))
 
 
-def ask(safety, force, age=0.0, position=CENTRE, velocity=STILL, held=True, seconds=STEP):
+def ask(safety, force, age=0.0, position=CENTER, velocity=STILL, held=True, seconds=STEP):
     return safety.filter(force, age, position, velocity, held, seconds)
 
 

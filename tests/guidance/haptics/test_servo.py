@@ -433,7 +433,7 @@ def test_a_hand_that_is_out_of_the_workspace_keeps_the_fault(begin, tmp_path):
     feed(servo, (3.0, 0.0), 0.1)
     assert servo.force == (3.0, 0.0)
     far.touch()
-    assert wait_for(lambda: servo.fault) == "the hand is 1.000 m from the centre, further than 0.12 m"
+    assert wait_for(lambda: servo.fault) == "the hand is 1.000 m from the center, further than 0.12 m"
     assert servo.force == (0.0, 0.0) and not servo.release()
     far.unlink()
     time.sleep(0.02)

@@ -12,7 +12,7 @@ from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from guidance.commands.validate_users import by_skill
 from guidance.simulated_users import Population, load_advisors, sample_people
-from guidance.simulated_users.validation.playstyles import FEATURES, blows, features, recognised, told_apart
+from guidance.simulated_users.validation.playstyles import FEATURES, blows, features, recognized, told_apart
 from guidance.study.demonstrations import collect_demonstrations
 
 TABLE = TableSpec()
@@ -36,12 +36,12 @@ def games(population: Population, seed: int, opponent, mentors) -> tuple[np.ndar
     return people["archetype"], [features(data.observation[:, game], TABLE) for game in (0, 1)]
 
 
-def test_people_are_told_apart_and_recognised(opponent, mentors):
+def test_people_are_told_apart_and_recognized(opponent, mentors):
     population = Population.usual()
     style, (known, _) = games(population, 4000, opponent, mentors)
     others, (one, another) = games(population, 4500, opponent, mentors)
     assert np.mean(told_apart(known, style, one) == others) > 0.4  # chance is 1 of 6
-    assert recognised(one, another) > 0.15  # chance is 1 of 60
+    assert recognized(one, another) > 0.15  # chance is 1 of 60
 
 
 def test_people_without_any_spread_are_not(opponent, mentors):
@@ -53,7 +53,7 @@ def test_people_without_any_spread_are_not(opponent, mentors):
     style, (known, _) = games(population, 4000, opponent, mentors)
     others, (one, another) = games(population, 4500, opponent, mentors)
     assert np.mean(told_apart(known, style, one) == others) < 0.4
-    assert recognised(one, another) < 0.1
+    assert recognized(one, another) < 0.1
 
 
 def test_more_skill_wins_more_and_stops_more(opponent, mentors):

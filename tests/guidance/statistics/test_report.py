@@ -17,7 +17,7 @@ from matplotlib.colors import to_rgba
 from scipy import stats as scipy_stats
 
 from airhockey_marl.experiment.files import find_files
-from guidance.statistics.figures import COLOURS, confidence_half_width, figure6, means_beside
+from guidance.statistics.figures import COLORS, confidence_half_width, figure6, means_beside
 from guidance.statistics.groups import Group, side_by_side
 from guidance.statistics.paper import compare_with_paper, count_findings, published_results
 from guidance.statistics.report import gather, merge, screen_table, write_report
@@ -196,8 +196,8 @@ def test_figure_draws_means_and_intervals(trials):
     for axes, metric in zip(figure.axes, METRICS, strict=True):
         np.testing.assert_allclose([bar.get_height() for bar in axes.containers[0]], means[metric])
         assert [tick.get_text() for tick in axes.get_xticklabels()] == [f"({letter})" for letter in "abcdefghi"]
-    colours = [bar.get_facecolor() for bar in figure.axes[0].containers[0]]
-    assert colours == [to_rgba(COLOURS[condition.guidance]) for condition in CONDITIONS.values()]
+    colors = [bar.get_facecolor() for bar in figure.axes[0].containers[0]]
+    assert colors == [to_rgba(COLORS[condition.guidance]) for condition in CONDITIONS.values()]
     disagreement = figure.axes[list(METRICS).index("mean_disagreement")]
     assert [text.get_text() for text in disagreement.texts] == ["–"]  # under NHG
 

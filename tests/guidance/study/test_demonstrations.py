@@ -21,7 +21,7 @@ def test_every_user_plays_every_game_and_the_action_is_where_the_hand_went():
     again = collect_demonstrations(people, opponent, 2, 300, TableSpec(), "V1", NO_ADVISORS, 0)
     assert torch.equal(again.action, data.action) and torch.equal(again.observation, data.observation)
     moved = data.action.diff(dim=2).abs().flatten()
-    assert moved.quantile(0.999) < 0.4  # 20 ms at 1.5 m/s; only a new round puts the hand back at the centre
+    assert moved.quantile(0.999) < 0.4  # 20 ms at 1.5 m/s; only a new round puts the hand back at the center
 
 
 def test_wrong_sizes_are_named():

@@ -19,7 +19,7 @@ from guidance.study.models import Models
 from guidance.study.protocol import Protocol, counterbalanced_order, is_balanced, spawn_rng_states, williams_design
 from guidance.study.study import Cohort, run_studies, run_study
 
-SHORT = Protocol(familiarisation=0.2, rounds=2, extra_rounds=1, min_seconds=4, round_seconds=3)
+SHORT = Protocol(familiarization=0.2, rounds=2, extra_rounds=1, min_seconds=4, round_seconds=3)
 SPRING, UT = Spring(50.0, 3.0, 0.075), Thresholds(0.3, 0.6)
 NHG = Condition("nhg", "a", "NHG", NoGuidance())
 OAHG = Condition("oahg", "b", "OAHG (vanilla)", SpringGuidance("optimal", SPRING))
@@ -125,7 +125,7 @@ def test_a_game_has_its_rounds_and_its_extra_rounds_only_while_it_is_short():
         users = SimulatedUsers(people, spawn_rng_states(0, range(4), 0, 0))
         return play_games(users, opponent, no_force, protocol, TableSpec(), spawn_rng_states(0, range(4), 0, 1))
 
-    timed = Protocol(familiarisation=0, rounds=2, extra_rounds=3, min_seconds=0, round_seconds=0.5)
+    timed = Protocol(familiarization=0, rounds=2, extra_rounds=3, min_seconds=0, round_seconds=0.5)
     games = play(timed)
     assert (games.rounds == 2).all()
     longer = play(Protocol(0, 2, 3, 1e6, 0.5))
@@ -204,9 +204,9 @@ def test_orders_are_balanced_over_a_multiple_of_the_design():
 
 
 @pytest.mark.parametrize(
-    ("field", "value"), [("rounds", 0), ("familiarisation", -1), ("extra_rounds", -1), ("round_seconds", 0)]
+    ("field", "value"), [("rounds", 0), ("familiarization", -1), ("extra_rounds", -1), ("round_seconds", 0)]
 )
 def test_wrong_protocols_are_named(field, value):
-    settings = {"familiarisation": 0, "rounds": 1, "extra_rounds": 0, "min_seconds": 0, "round_seconds": 1}
+    settings = {"familiarization": 0, "rounds": 1, "extra_rounds": 0, "min_seconds": 0, "round_seconds": 1}
     with pytest.raises(ValueError, match=rf"study\.{field} = {value}"):
         Protocol(**{**settings, field: value})

@@ -106,7 +106,7 @@ def test_prediction_loss_pulls_the_mean_to_the_action():
 # demonstrations
 
 
-def labelled(users, games, ticks):
+def labeled(users, games, ticks):
     """Observations that say whose they are: user, game and tick in the first three places."""
     observation = torch.zeros(users, games, ticks, 12)
     for place, size in enumerate((users, games, ticks)):
@@ -118,7 +118,7 @@ def labelled(users, games, ticks):
 
 @given(st.integers(1, 3), st.integers(2, 5), st.integers(1, 3), st.integers(1, 4), st.integers(0, 3), st.integers(0, 9))
 def test_pairs_come_from_two_games_of_the_same_user(users, games, per_game, block, rest, seed):
-    data = labelled(users, games, per_game * block + rest % block)
+    data = labeled(users, games, per_game * block + rest % block)
     blocks, steps = [], 0
     for demo, valid in data.pairs(block, seeded(seed)):
         for observation, action in (demo, valid):
@@ -140,7 +140,7 @@ def test_the_paper_has_twenty_meta_steps_an_epoch():
 
 
 def test_pairs_change_from_epoch_to_epoch_and_repeat_with_the_seed():
-    data, generator = labelled(2, 6, 8), seeded()
+    data, generator = labeled(2, 6, 8), seeded()
     first, second = ([demo[0] for demo, _ in data.pairs(2, generator)] for _ in range(2))
     again = [demo[0] for demo, _ in data.pairs(2, seeded())]
     assert all(torch.equal(a, b) for a, b in zip(first, again, strict=True))
@@ -148,14 +148,14 @@ def test_pairs_change_from_epoch_to_epoch_and_repeat_with_the_seed():
 
 
 def test_any_block_of_a_game_may_meet_any_of_another():
-    data, generator, met = labelled(1, 2, 3), seeded(), set()
+    data, generator, met = labeled(1, 2, 3), seeded(), set()
     for _ in range(100):
         met |= {(int(demo[0][0, 0, 2]), int(valid[0][0, 0, 2])) for demo, valid in data.pairs(1, generator)}
     assert met == {(first, second) for first in range(3) for second in range(3)}
 
 
 def test_batches_pass_over_every_tick_once():
-    data = labelled(2, 3, 7)  # 42 ticks
+    data = labeled(2, 3, 7)  # 42 ticks
     batches = list(data.batches(10, seeded()))
     assert [len(action) for _, action in batches] == [10, 10, 10, 10, 2]
     seen = torch.cat([observation[:, :3] for observation, _ in batches])
