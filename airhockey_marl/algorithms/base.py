@@ -1,4 +1,4 @@
-"""What trains a policy, whichever algorithm it is: settings that make a learner, and a learner fed with batches."""
+"""What an algorithm is: settings that make a learner, and a learner that is fed with batches of play."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -6,6 +6,8 @@ from typing import Protocol
 from tensordict import TensorDictBase
 from torch import nn
 from torch.optim import Optimizer
+
+from airhockey_marl.experiment.registry import Registry
 
 
 class Learner(Protocol):
@@ -35,3 +37,10 @@ class Algorithm(Protocol):
     def learner(self, policy: nn.Module, gamma: float) -> Learner:
         """Begin to train `policy`, observations to (mean, STD) of a diagonal Gaussian; `gamma` is per decision."""
         ...
+
+
+ALGORITHMS: Registry[type[Algorithm]] = Registry(
+    "algorithm",
+    {name: f"airhockey_marl.algorithms.{name}" for name in ("trpo", "ppo", "sac")},
+    group="algorithm",
+)

@@ -5,7 +5,7 @@ surrogate and fit the critic, both by one Adam. The loss is TorchRL's, the advan
 The policy is any module that maps observations to (mean, STD) of a diagonal Gaussian.
 """
 
-from collections.abc import Callable
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import torch
@@ -16,25 +16,28 @@ from torchrl.modules import IndependentNormal, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
 from airhockey_marl.algorithms.advantages import advantages
+from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.algorithms.trpo import kl_divergence
 from airhockey_marl.experiment.validation import check_counts, check_numbers, check_view, labeled
+from airhockey_marl.players.networks import Critic
 
 
+@ALGORITHMS.register("ppo")
 @dataclass(frozen=True)
 class PPOConfig:
     """The settings of PPO.
 
     Attributes:
-        clip: how far from 1 the probability ratio of an action may go and still be rewarded.
+        clip_epsilon: how far from 1 the probability ratio of an action may go and still be rewarded.
         epochs, minibatch, lr: passes over each batch, transitions per step of Adam, and its step size.
         entropy_coef: weight of the policy's entropy, in nats, in the objective.
         critic_coef: weight of the critic's squared error.
         max_grad_norm: a longer gradient, of policy and critic together, is shortened to this.
         gae_lambda: trade-off between bias (0) and variance (1) of the advantages (Schulman et al. 2016).
-        critic: makes the critic, observations (..., 12) to values (..., 1).
+        critic_hidden, critic_inputs: of the critic, see `networks.Critic`.
     """
 
-    clip: float
+    clip_epsilon: float
     epochs: int
     minibatch: int
     lr: float
@@ -42,12 +45,13 @@ class PPOConfig:
     critic_coef: float
     max_grad_norm: float
     gae_lambda: float
-    critic: Callable[[], nn.Module]
+    critic_hidden: Sequence[int]
+    critic_inputs: str
 
     def __post_init__(self) -> None:
         check_counts(**labeled(self, "algorithm", "epochs", "minibatch"))
         check_numbers(above=0.0, **labeled(self, "algorithm", "lr", "critic_coef", "max_grad_norm"))
-        check_numbers(above=0.0, at_most=1.0, **labeled(self, "algorithm", "clip", "gae_lambda"))
+        check_numbers(above=0.0, at_most=1.0, **labeled(self, "algorithm", "clip_epsilon", "gae_lambda"))
         check_numbers(0.0, **labeled(self, "algorithm", "entropy_coef"))
 
     def learner(self, policy: nn.Module, gamma: float) -> "PPOLearner":
@@ -61,13 +65,13 @@ class PPOLearner:
     def __init__(self, settings: PPOConfig, policy: nn.Module, gamma: float) -> None:
         check_numbers(0.0, at_most=1.0, gamma=gamma)
         self.settings, self.policy = settings, policy
-        self.critic = settings.critic().to(next(policy.parameters()).device)
+        self.critic = Critic(settings.critic_hidden, settings.critic_inputs).to(next(policy.parameters()).device)
         self.actor = gaussian_actor(policy)
         self.gamma = gamma
         self.loss = ClipPPOLoss(
             self.actor,
             TensorDictModule(self.critic, in_keys=["observation"], out_keys=["state_value"]),
-            clip_epsilon=settings.clip,
+            clip_epsilon=settings.clip_epsilon,
             entropy_bonus=settings.entropy_coef > 0,
             entropy_coeff=settings.entropy_coef,
             critic_coeff=settings.critic_coef,

@@ -24,11 +24,13 @@ from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
 from torchrl.objectives import SACLoss, SoftUpdate, ValueEstimators
 
+from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.algorithms.ppo import gaussian_actor
 from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, check_view, labeled
 from airhockey_marl.players.networks import PADDLE, ObservationScaling, check_hidden, mlp_layers
 
 
+@ALGORITHMS.register("sac")
 @dataclass(frozen=True)
 class SACConfig:
     """The settings of SAC.

@@ -5,7 +5,7 @@ region, a backtracking line search on the surrogate, then some passes of regress
 any module that maps observations to (mean, STD) of a diagonal Gaussian.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -14,7 +14,9 @@ from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from airhockey_marl.algorithms.advantages import advantages
+from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, check_view, labeled
+from airhockey_marl.players.networks import Critic
 
 
 def conjugate_gradient(matvec: Callable[[Tensor], Tensor], b: Tensor, steps: int, tolerance: float = 1e-10) -> Tensor:
@@ -83,6 +85,7 @@ class FisherVectorProduct:
         return torch.cat([part.reshape(-1) for part in product]) + self.damping * vector
 
 
+@ALGORITHMS.register("trpo")
 @dataclass(frozen=True)
 class TRPOConfig:
     """The settings of TRPO.
@@ -94,7 +97,7 @@ class TRPOConfig:
             gradient does (Schulman et al. 2015, appendix C).
         line_search_max_iter, shrink: how often, and by how much, a step that fails is shortened.
         gae_lambda: trade-off between bias (0) and variance (1) of the advantages (Schulman et al. 2016).
-        critic: makes the critic, observations (..., 12) to values (..., 1).
+        critic_hidden, critic_inputs: of the critic, see `networks.Critic`.
         critic_epochs, critic_batch_size, critic_lr: its regression, by Adam, on each batch.
     """
 
@@ -105,7 +108,8 @@ class TRPOConfig:
     line_search_max_iter: int
     line_search_shrink: float
     gae_lambda: float
-    critic: Callable[[], nn.Module]
+    critic_hidden: Sequence[int]
+    critic_inputs: str
     critic_epochs: int
     critic_batch_size: int
     critic_lr: float
@@ -130,7 +134,7 @@ class TRPOLearner:
     def __init__(self, settings: TRPOConfig, policy: nn.Module, gamma: float) -> None:
         check_numbers(0.0, at_most=1.0, gamma=gamma)
         self.settings, self.policy, self.gamma = settings, policy, gamma
-        self.critic = settings.critic().to(next(policy.parameters()).device)
+        self.critic = Critic(settings.critic_hidden, settings.critic_inputs).to(next(policy.parameters()).device)
         self.optimizer = torch.optim.Adam(self.critic.parameters(), lr=settings.critic_lr, fused=True)
 
     def parts(self) -> dict[str, nn.Module | torch.optim.Optimizer]:

@@ -20,8 +20,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.algorithms.base import Algorithm
-from airhockey_marl.experiment.building import build
+from airhockey_marl.algorithms.base import ALGORITHMS, Algorithm
 from airhockey_marl.experiment.command import (
     InputError,
     command,
@@ -34,7 +33,7 @@ from airhockey_marl.experiment.command import (
 from airhockey_marl.experiment.files import write_json
 from airhockey_marl.experiment.run_folder import lock_run_folder
 from airhockey_marl.experiment.tensorboard import log_final_scores
-from airhockey_marl.league.opponent_sampling import OpponentSampler
+from airhockey_marl.league.opponent_sampling import OPPONENT_SAMPLERS, OpponentSampler
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 from airhockey_marl.self_play.collectors import CollectorConfig, RolloutWorkers
@@ -61,8 +60,7 @@ def check(cfg: DictConfig) -> None:
                 f"{whole} = {OmegaConf.select(cfg, whole)} must be a multiple of {part} = {OmegaConf.select(cfg, part)}"
             )
     for name in cfg.league.anchors:
-        if name not in SCRIPTED_PLAYERS:
-            raise InputError(f"league.anchors: {name!r} must be one of {', '.join(SCRIPTED_PLAYERS)}")
+        SCRIPTED_PLAYERS.find(name, "league.anchors")
 
 
 @command("train")
@@ -75,8 +73,8 @@ def main(cfg: DictConfig) -> float:
         torch.set_num_threads(cfg.threads)
         torch.manual_seed(cfg.seed)
         policy = GaussianPolicy(cfg.hidden, cfg.inputs).to(cfg.device)
-        algorithm: Algorithm = build(cfg.algorithm)
-        sampler: OpponentSampler = build(cfg.league.sampler)
+        algorithm: Algorithm = ALGORITHMS.build(cfg.algorithm, "algorithm")
+        sampler: OpponentSampler = OPPONENT_SAMPLERS.build(cfg.league.sampler, "league.sampler")
         learner = algorithm.learner(policy, cfg.gamma)
         crew = RolloutWorkers(CollectorConfig(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)

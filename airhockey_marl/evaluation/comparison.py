@@ -74,14 +74,14 @@ def read_run(folder: Path) -> Run:
         cfg = read_config(folder / CONFIG)
     except json.JSONDecodeError as error:
         raise ValueError(f"runs: {folder}: {error}") from error
-    wanted = ("algorithm._target_", "seed", "steps_per_generation", "env.frame_skip")
+    wanted = ("algorithm.name", "seed", "steps_per_generation", "env.frame_skip")
     settings = [OmegaConf.select(cfg, key) for key in wanted]
     absent = [key for key, value in zip(wanted, settings, strict=True) if value is None]
     if absent or "seconds" not in card:
         raise ValueError(f"runs: {folder} does not tell {', '.join(absent or ['seconds'])}")
-    target, seed, steps, frame_skip = settings
+    name, seed, steps, frame_skip = settings
     league = League.load(folder / LEAGUE)
-    return Run(folder, target.rpartition(".")[2], seed, league, steps, card["seconds"], frame_skip)
+    return Run(folder, name.upper(), seed, league, steps, card["seconds"], frame_skip)
 
 
 def check_runs(runs: Sequence[Run]) -> None:

@@ -48,9 +48,7 @@ def payoff_figure(members: Sequence[PlayerId], score: np.ndarray) -> Figure:
     axes = figure.subplots()
     axes.set_facecolor("#E3E3E3")
     image = axes.imshow(shares, cmap=LOSS_TO_WIN, vmin=0, vmax=1)
-    figure.colorbar(
-        image, ax=axes, shrink=0.75, label="share of decided rounds that the row wins", ticks=[0, 0.5, 1]
-    )
+    figure.colorbar(image, ax=axes, shrink=0.75, label="share of decided rounds that the row wins", ticks=[0, 0.5, 1])
     generations = sum(not isinstance(member, str) for member in members)
     every = -(-generations // LABELS_UP_TO)
     shown = [*range(0, generations - every, max(every, 1)), *range(max(generations - 1, 0), k)]
@@ -200,9 +198,7 @@ def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndar
         axes.tick_params(axis="x", length=0)
         axes.set_yticks([])
         axes.spines[:].set_visible(False)
-    figure.colorbar(
-        image, ax=rest, shrink=0.62, label="mean STD", format=FuncFormatter(lambda std, _: f"{std:.2f}")
-    )
+    figure.colorbar(image, ax=rest, shrink=0.62, label="mean STD", format=FuncFormatter(lambda std, _: f"{std:.2f}"))
     return figure
 
 

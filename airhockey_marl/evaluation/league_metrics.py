@@ -27,7 +27,7 @@ from airhockey_marl.evaluation.ratings import (
 from airhockey_marl.evaluation.saves import count_saves
 from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.players import Player, stochastic
-from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
+from airhockey_marl.players.scripted import REFERENCE_PLAYERS
 
 MILESTONES = (0, 25, 50)  # the last generation is measured against these; in shorter leagues against its quarters
 LATER_THAN, BELOW = 20, 10  # no generation after 20 should be rated below generation 10
@@ -148,7 +148,7 @@ def members_of_matrix(generations: int, every: int) -> list[PlayerId]:
     """Who is in the payoff matrix of a league of so many generations; see `EvaluationBudget.every`."""
     last = generations - 1
     chosen = {*range(0, generations, every), *milestones(last), last, *([BELOW] if last > LATER_THAN else [])}
-    return [*sorted(chosen), *SCRIPTED_PLAYERS]
+    return [*sorted(chosen), *REFERENCE_PLAYERS]
 
 
 def check(league: League, matches: pd.DataFrame | None) -> None:
@@ -179,7 +179,7 @@ def evaluate_league(
     score = payoff(league, members, effort.rounds, seed, 10, frame_skip, partial(tell, "payoff matrix"))
     wins, place = score[..., 0], {member: i for i, member in enumerate(members)}
     ratings = pd.DataFrame({"member": pd.Series(members, dtype=object), **bradley_terry(wins, 0)._asdict()})
-    strongest = max(SCRIPTED_PLAYERS, key=lambda name: ratings["rating"][place[name]])
+    strongest = max(REFERENCE_PLAYERS, key=lambda name: ratings["rating"][place[name]])
     middle = min((m for m in members if not isinstance(m, str)), key=lambda m: abs(m - last / 2))
     rivals, other = [*milestones(last), strongest], seed + OTHER_ROUNDS
     pairs = [(last, rival) for rival in rivals]

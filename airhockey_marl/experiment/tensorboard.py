@@ -72,7 +72,7 @@ LAYOUT = {
 }
 STAMPED = re.compile(r"(events\.out\.tfevents\.)(\d{10})(\..*)")
 # how a run is run, not what it is
-NOT_SETTINGS = ("resume", "threads", "device", "pictures_every", "_convert_", "_partial_")
+NOT_SETTINGS = ("resume", "threads", "device", "pictures_every")
 SCORES = "scores"  # the folder of what the HPARAMS page shows
 
 

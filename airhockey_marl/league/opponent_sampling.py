@@ -9,6 +9,7 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
+from airhockey_marl.experiment.registry import Registry
 from airhockey_marl.experiment.validation import check_counts, check_numbers
 
 
@@ -32,6 +33,10 @@ class OpponentSampler(Protocol):
     def probabilities(self, standing: PoolStatistics) -> np.ndarray: ...
 
 
+OPPONENT_SAMPLERS: Registry[type[OpponentSampler]] = Registry("opponent sampler")
+
+
+@OPPONENT_SAMPLERS.register("latest")
 @dataclass(frozen=True)
 class Latest:
     """Always the newest generation."""
@@ -40,6 +45,7 @@ class Latest:
         return np.eye(len(standing.win_rates))[standing.generations - 1]
 
 
+@OPPONENT_SAMPLERS.register("delta_uniform")
 @dataclass(frozen=True)
 class DeltaUniform:
     """Uniform over the newest share (1 - delta) of all generations (Bansal et al. 2018, section 4.2).
@@ -62,6 +68,7 @@ class DeltaUniform:
         return chances
 
 
+@OPPONENT_SAMPLERS.register("scripted")
 @dataclass(frozen=True)
 class ScriptedOnly:
     """Uniform over the scripted anchors."""
@@ -72,17 +79,18 @@ class ScriptedOnly:
         return (np.arange(len(standing.win_rates)) >= standing.generations) / standing.anchors
 
 
+@OPPONENT_SAMPLERS.register("pfsp")
 @dataclass(frozen=True)
 class PFSP:
     """Prioritized fictitious self-play (Vinyals et al. 2019): by how interesting a member is, from its win rate x.
 
     Attributes:
-        weighting: "hard", (1 - x)^2: whoever wins against the learner; or "even", x (1 - x): whoever is its equal.
+        weighting: "squared", (1 - x)^2: whoever wins against the learner; or "variance", x (1 - x): whoever is its equal.
     """
 
     weighting: str
 
-    WEIGHTS = {"hard": lambda x: (1 - x) ** 2, "even": lambda x: x * (1 - x)}  # noqa: RUF012 (never changed)
+    WEIGHTS = {"squared": lambda x: (1 - x) ** 2, "variance": lambda x: x * (1 - x)}  # noqa: RUF012 (never changed)
 
     def __post_init__(self) -> None:
         if self.weighting not in self.WEIGHTS:
@@ -93,6 +101,7 @@ class PFSP:
         return weights / weights.sum()
 
 
+@OPPONENT_SAMPLERS.register("mixture")
 @dataclass(frozen=True)
 class Mixture:
     """Each of several samplers has its share of the tables.
@@ -115,6 +124,7 @@ class Mixture:
         return sum(weighted) / sum(self.shares)
 
 
+@OPPONENT_SAMPLERS.register("curriculum")
 @dataclass(frozen=True)
 class Curriculum:
     """One sampler until a generation has been frozen, another from then on.

@@ -20,6 +20,7 @@ from numba import njit
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec, clamp
+from airhockey_marl.experiment.registry import Registry
 from airhockey_marl.experiment.validation import CPU, check_tensors
 
 UNTRAINED = 0.5  # STD of `random`: sigmoid(0), with which `policy.GaussianPolicy` begins
@@ -264,8 +265,11 @@ class ScriptedPlayer:
         return mean, torch.full_like(mean, self.std)
 
 
-SCRIPTED_PLAYERS = {
-    "random": ScriptedPlayer(_rest, UNTRAINED),
-    "defender": ScriptedPlayer(_defend, STEADY),
-    "striker": ScriptedPlayer(_attack, STEADY),
-}
+REFERENCE_PLAYERS = ("random", "defender", "striker")  # every league is measured against these
+SCRIPTED_PLAYERS: Registry[ScriptedPlayer] = Registry("scripted player")
+for _name, _player in zip(
+    REFERENCE_PLAYERS,
+    (ScriptedPlayer(_rest, UNTRAINED), ScriptedPlayer(_defend, STEADY), ScriptedPlayer(_attack, STEADY)),
+    strict=True,
+):
+    SCRIPTED_PLAYERS.register(_name)(_player)

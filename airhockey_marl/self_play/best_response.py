@@ -9,9 +9,9 @@ from collections.abc import Callable
 import torch
 from omegaconf import DictConfig
 
+from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.algorithms.reward_shaping import RewardShaping, shaping_strength
 from airhockey_marl.evaluation.matches import MatchResult, play_each
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.validation import check_counts
 from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.networks import GaussianPolicy
@@ -44,7 +44,7 @@ def best_response(
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
         policy = GaussianPolicy(cfg.hidden, cfg.inputs)
-        learner = build(cfg.algorithm).learner(policy, cfg.gamma)
+        learner = ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, cfg.gamma)
         crew = RolloutWorkers(CollectorConfig(), {**cfg.env, "backend": "batched"}, seed, policy, cfg.batch)
         shaping = RewardShaping(cfg.shaping.position, cfg.shaping.velocity, cfg.shaping.shot, cfg.shaping.approach)
         practice, history = SelfPlayTrainer(crew, policy, shaping, cfg.gamma), []

@@ -26,7 +26,7 @@ from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.league.opponent_pool import OpponentPool
 from airhockey_marl.league.opponent_sampling import OpponentSampler
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
+from airhockey_marl.players.scripted import REFERENCE_PLAYERS
 from airhockey_marl.self_play.collectors import RolloutWorkers
 from airhockey_marl.self_play.trainer import SelfPlayTrainer
 
@@ -112,7 +112,7 @@ def train_league(
         write_text(folder / MATCHES, pd.DataFrame(matches).to_csv(index=False))
         facts = {"generation": generation, "matches": matches, "goals": list(pool.goals.items()), "seconds": seconds}
         checkpoint.save(folder / STATE, facts)
-        bar.set_postfix({name: f"{rates[name]:.2f}" for name in ("0", *SCRIPTED_PLAYERS)})
+        bar.set_postfix({name: f"{rates[name]:.2f}" for name in ("0", *REFERENCE_PLAYERS)})
     board.close()
     return pool.league, time.perf_counter() - began
 
@@ -131,13 +131,13 @@ def log_pictures(
 
 def reference_opponents(generation: int, every: int) -> list[PlayerId]:
     """Whom a new generation is measured against: each `every`-th generation before it, and the scripted anchors."""
-    return [*range(0, generation, every), *SCRIPTED_PLAYERS]
+    return [*range(0, generation, every), *REFERENCE_PLAYERS]
 
 
 def model_card(cfg: DictConfig, league: League) -> dict:
     """The model card of a league: what it is, and how its last generation plays."""
     last = len(league) - 1
-    others = [*sorted({0, last // 4, last // 2, 3 * last // 4} - {last}), *SCRIPTED_PLAYERS]
+    others = [*sorted({0, last // 4, last // 2, 3 * last // 4} - {last}), *REFERENCE_PLAYERS]
     rounds = CARD_ROUNDS * cfg.league.match_rounds
     results = play_each(league.player(last), league.lineup(others), rounds, cfg.seed + 1, cfg.env.frame_skip)
     return {

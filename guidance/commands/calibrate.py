@@ -12,6 +12,7 @@ Writes calibration.yaml, the values and what they rest on, into its run folder. 
 into conf/: calibration never changes a study by itself.
 """
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,6 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import (
     InputError,
     ProgressBar,
@@ -30,9 +30,10 @@ from airhockey_marl.experiment.command import (
     require_numbers,
 )
 from airhockey_marl.experiment.files import write_text
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
-from guidance.simulated_users import SimulatedUsers, load_advisors, training_people
+from guidance.simulated_users import Population, SimulatedUsers, load_advisors, training_people
 from guidance.simulated_users.force_response import check_variant
 from guidance.study.calibration import (
     lookahead_win_rate,
@@ -43,7 +44,7 @@ from guidance.study.calibration import (
     threshold,
 )
 from guidance.study.games import Games, no_force, play_games
-from guidance.study.protocol import spawn_rng_states
+from guidance.study.protocol import Protocol, spawn_rng_states
 from guidance.study.provenance import load_models
 
 OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has the number of its condition
@@ -62,9 +63,9 @@ def main(cfg: DictConfig) -> None:
         require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
         if not all(isinstance(seconds, float) and 0 <= seconds <= 1 for seconds in cfg.stability.lookaheads):
             raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers from 0 to 1")
-        people = training_people(cfg.seed, build(cfg.users.population))
+        people = training_people(cfg.seed, construct(Population, cfg.users.population, "users.population"))
         mentors = load_advisors(cfg.users.mentors)
-        protocol = build(cfg.study, familiarization=0)
+        protocol = replace(construct(Protocol, cfg.study, "study"), familiarization=0)
         models = load_models(cfg)
         league = League.load(cfg.models.opponents)
         if cfg.opponent is not None:

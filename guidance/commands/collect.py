@@ -23,9 +23,9 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import InputError, ProgressBar, command, report_input_errors, require_counts
 from airhockey_marl.experiment.files import atomic_write, sha256, write_json
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from guidance.simulated_users import Population, load_advisors, sample_people, training_people
@@ -71,7 +71,7 @@ def main(cfg: DictConfig) -> None:
             raise InputError(f"opponent = {cfg.opponent} must be a generation of the league, 0 to {len(league) - 1}")
         if (folder / TENSORS).exists():
             raise InputError(f"hydra.run.dir = {folder} must be a folder without {TENSORS}/: data are not replaced")
-        population: Population = build(cfg.users.population)
+        population: Population = construct(Population, cfg.users.population, "users.population")
         draw = training_people if cfg.people == "training" else partial(sample_people, cfg.participants)
         people, mentors = draw(cfg.seed, population), load_advisors(cfg.users.mentors)
     torch.set_num_threads(cfg.threads)

@@ -23,7 +23,6 @@ from omegaconf import DictConfig, OmegaConf
 from torch.utils.tensorboard import SummaryWriter
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import (
     ProgressBar,
     command,
@@ -33,6 +32,7 @@ from airhockey_marl.experiment.command import (
     require_numbers,
 )
 from airhockey_marl.experiment.files import atomic_write, write_json
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.experiment.tensorboard import (
     add_picture,
     log_final_scores,
@@ -61,8 +61,8 @@ def main(cfg: DictConfig) -> None:
         require_device(cfg)
         require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
         conditions = load_conditions(cfg)
-        protocol: Protocol = build(cfg.study)
-        population: Population = build(cfg.users.population)
+        protocol: Protocol = construct(Protocol, cfg.study, "study")
+        population: Population = construct(Population, cfg.users.population, "users.population")
         models = load_models(cfg, cfg.device)
         opponent = load_opponent(cfg, cfg.device)
         people = sample_people(cfg.participants, cfg.seed, population)

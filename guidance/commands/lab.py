@@ -21,22 +21,23 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import InputError, command, report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.registry import construct
 from guidance.display.pages import Items, Page
 from guidance.display.window import NARROWEST, Window
 from guidance.haptics.clock import SimulatedClock, WallClock
 from guidance.haptics.open_device import check_device, device_session
+from guidance.haptics.safety import SafetyLimits
 from guidance.haptics.seat import NullDisplay, Quit, RealTimePlayer, leaving_when_told
 from guidance.sessions.bids import Participant, Records
 from guidance.sessions.lsl import open_streams
 from guidance.sessions.recording import load_json
 from guidance.sessions.session import SKIP, NullEvents, Session, SessionPlan
-from guidance.simulated_users import SimulatedUsers, load_advisors, sample_people
+from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
 from guidance.simulated_users.ratings import RATINGS
 from guidance.study.models import Models
-from guidance.study.protocol import CALIBRATION_GAME, spawn_rng_states
+from guidance.study.protocol import CALIBRATION_GAME, Protocol, spawn_rng_states
 from guidance.study.provenance import file_hashes, load_conditions, load_models, load_opponent, manifest
 
 KEYS = {
@@ -128,7 +129,7 @@ def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
         models=models,
         opponent=load_opponent(cfg),
         opponent_label=f"generation {cfg.opponent}",
-        protocol=build(cfg.study),
+        protocol=construct(Protocol, cfg.study, "study"),
         lookahead_seconds=cfg.guidance.lookahead,
         participants=cfg.participants,
         seed=cfg.seed,
@@ -149,8 +150,10 @@ def main(cfg: DictConfig) -> None:
         return
     with report_input_errors():
         models = load_models(cfg)
-        plan, limits = plan_of(cfg, models), build(cfg.safety)
-        people = sample_people(cfg.participants, cfg.seed, build(cfg.users.population))
+        plan, limits = plan_of(cfg, models), construct(SafetyLimits, cfg.safety, "safety")
+        people = sample_people(
+            cfg.participants, cfg.seed, construct(Population, cfg.users.population, "users.population")
+        )
         facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else NullEvents()
     torch.set_num_threads(cfg.threads)
     clock = WallClock() if cfg.window else SimulatedClock()

@@ -24,7 +24,6 @@ from tqdm import tqdm
 
 from airhockey_marl.algorithms.divergence import name_divergence
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.checkpoint import Checkpoint
 from airhockey_marl.experiment.command import (
     InputError,
@@ -37,6 +36,7 @@ from airhockey_marl.experiment.command import (
     resumed_config,
 )
 from airhockey_marl.experiment.files import sha256, write_json
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.experiment.run_folder import lock_run_folder
 from airhockey_marl.experiment.tensorboard import log_final_scores, log_run_header, open_writer, tensorboard_dir
 from airhockey_marl.players.networks import GaussianPolicy
@@ -81,7 +81,7 @@ def main(cfg: DictConfig) -> float:
             cfg = resumed_config(Path(cfg.resume), STATE, cfg)
         check(cfg)
         check_variant(cfg.users.variant)
-        population: Population = build(cfg.users.population)
+        population: Population = construct(Population, cfg.users.population, "users.population")
         mentors = load_advisors(cfg.users.mentors)
         opponent = load_opponent(cfg)
         torch.manual_seed(cfg.seed)

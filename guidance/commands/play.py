@@ -20,8 +20,8 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import InputError, command, report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from guidance.display.window import NARROWEST, Window
@@ -217,9 +217,9 @@ def main(cfg: DictConfig) -> None:
         require_numbers(cfg, "breath", least=0.0, at_most=10.0)
         if cfg.seconds is not None:
             require_numbers(cfg, "seconds")
-        protocol: Protocol = build(cfg.study)
+        protocol: Protocol = construct(Protocol, cfg.study, "study")
         check_device(cfg.device)
-        begin_with: Condition = build(cfg.condition)
+        begin_with: Condition = load_conditions(cfg)[0]
         if ADAPTED in begin_with.guidance.models():
             raise InputError(f"condition = {begin_with.name} needs a model of you: begin with another, and press a")
         cfg.condition = None
@@ -227,12 +227,12 @@ def main(cfg: DictConfig) -> None:
         models = load_models(cfg)
         opponents = League.load(cfg.models.opponents)
         opponents.player(cfg.opponent)
-        limits: SafetyLimits = build(cfg.safety)
+        limits: SafetyLimits = construct(SafetyLimits, cfg.safety, "safety")
         minds, serves = (spawn_rng_states(cfg.seed, [0], CALIBRATION_GAME, purpose) for purpose in (0, 1))
         person = None
         if cfg.device.kind == "simulated":
             check_variant(cfg.users.variant)
-            population: Population = build(cfg.users.population)
+            population: Population = construct(Population, cfg.users.population, "users.population")
             people, mentors = sample_people(1, cfg.seed, population), load_advisors(cfg.users.mentors)
             person = SimulatedUsers(people, minds, TableSpec(), cfg.users.variant, mentors)
     torch.set_num_threads(cfg.threads)

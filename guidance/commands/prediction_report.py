@@ -20,7 +20,6 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import (
     InputError,
     ProgressBar,
@@ -31,6 +30,7 @@ from airhockey_marl.experiment.command import (
 )
 from airhockey_marl.experiment.files import sha256, write_json, write_text
 from airhockey_marl.experiment.html import template
+from airhockey_marl.experiment.registry import construct
 from guidance.simulated_users import Population, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
 from guidance.study.demonstrations import collect_demonstrations
@@ -84,7 +84,7 @@ def check(cfg: DictConfig) -> None:
 def main(cfg: DictConfig) -> None:
     with report_input_errors():
         check(cfg)
-        population: Population = build(cfg.users.population)
+        population: Population = construct(Population, cfg.users.population, "users.population")
         mentors = load_advisors(cfg.users.mentors)
         models = load_models(cfg)
         opponent = load_opponent(cfg)

@@ -21,9 +21,9 @@ from omegaconf import DictConfig
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import command, report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.files import atomic_write
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.players.players import Player
 from guidance.simulated_users import Advisors, Population, SimulatedUsers, load_advisors, sample_people
 from guidance.simulated_users.force_response import Variant, check_variant
@@ -70,7 +70,7 @@ def main(cfg: DictConfig) -> None:
         require_counts(cfg, "seed", least=0)
         require_numbers(cfg, "play_seconds", least=10.0)
         check_variant(cfg.users.variant)
-        population: Population = build(cfg.users.population)
+        population: Population = construct(Population, cfg.users.population, "users.population")
         mentors = load_advisors(cfg.users.mentors)
         opponent = load_opponent(cfg)
     torch.set_num_threads(cfg.threads)

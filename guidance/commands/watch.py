@@ -23,7 +23,6 @@ from omegaconf import DictConfig
 from tensordict import TensorDict
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import (
     InputError,
     ProgressBar,
@@ -34,6 +33,7 @@ from airhockey_marl.experiment.command import (
     require_numbers,
 )
 from airhockey_marl.experiment.files import atomic_write, find_files
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.players.players import Player
 from guidance.display.film import NARROWEST, FilmInfo, draw_sheet, save_film
 from guidance.forces.conditions import ADAPTED, Condition
@@ -44,7 +44,7 @@ from guidance.simulated_users.intention import Intention
 from guidance.study.games import GameRunner, no_force, play_games
 from guidance.study.models import Models
 from guidance.study.protocol import CALIBRATION_GAME, Protocol, spawn_rng_states
-from guidance.study.provenance import load_models, load_opponent
+from guidance.study.provenance import load_conditions, load_models, load_opponent
 from guidance.study.tick_log import TickLog, read_ticks, scene_facts, tapped_guidance
 
 LONGEST = 60  # s: all pictures of a film are in memory together
@@ -122,8 +122,8 @@ def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dic
     """Let a simulated person play; the game, and what its film says about it."""
     table = TableSpec()
     with report_input_errors():
-        condition: Condition = build(cfg.condition)
-        protocol: Protocol = build(cfg.study)
+        condition: Condition = load_conditions(cfg)[0]
+        protocol: Protocol = construct(Protocol, cfg.study, "study")
         person, mentors = chosen_person(cfg), load_advisors(cfg.users.mentors)
         models = load_models(cfg)
         opponent = load_opponent(cfg)
@@ -172,7 +172,7 @@ def chosen_person(cfg: DictConfig) -> np.ndarray:
     Raises:
         InputError: there is no such archetype or skill.
     """
-    population: Population = build(cfg.users.population)
+    population: Population = construct(Population, cfg.users.population, "users.population")
     if cfg.user is not None and cfg.user not in population.archetypes:
         raise InputError(f"user = {cfg.user} must be one of {', '.join(population.archetypes)}, null")
     if cfg.skill is not None:

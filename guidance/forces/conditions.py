@@ -1,32 +1,34 @@
 """The nine conditions of section 4.2 as compositions of the force equations.
 
-A condition is a tree of the frozen dataclasses below, written down in `conf/condition/<name>.yaml`: nothing here asks
-which condition it is. A guidance maps what the hand does and what the models say to a force; it is given tensors with
-any leading batch dimensions, so one call serves all users of a condition.
+`condition_specs` reads what a condition is; `build_condition` composes it of the frozen dataclasses below, and nothing
+after that asks which condition it is. A guidance maps the game's state, the hand and the models' predictions to a force;
+tensors have any leading batch dimensions, so one call serves all users of a condition.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from string import ascii_lowercase
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
 
 import torch
 from torch import Tensor
 
+from airhockey_marl.experiment.registry import as_mapping, construct
+from guidance.forces.condition_specs import ADAPTED as ADAPTED_USER
+from guidance.forces.condition_specs import GUIDANCES, ConditionSpec
 from guidance.forces.equations import combine, similarity_weight, spring_force, uncertainty_weight
 
 OPTIMAL, USER, ADAPTED = "optimal", "user", "adapted"  # the models: OAHG's, UPHG's without UA, UPHG's with UA
 
 
 class Prediction(NamedTuple):
-    """What a model says at the looked-ahead state: mean and STD (..., 2) of the action."""
+    """The output of a model at the looked-ahead state: mean and STD (..., 2) of the action."""
 
     mean: Tensor
     std: Tensor
 
 
 class GuidanceOutput(NamedTuple):
-    """A guidance's answer: the force (..., 2) in N, and the weights (...) that went into it, where it has them."""
+    """The force (..., 2) of a guidance in N, and the weights (...) that went into it, where it has them."""
 
     force: Tensor
     w_unc_optimal: Tensor | None = None
@@ -35,13 +37,21 @@ class GuidanceOutput(NamedTuple):
 
 
 class Guidance(Protocol):
-    """Anything that turns the user's action (..., 2) and the models' targets into a force."""
+    """Anything that turns the game's state, the hand and the models' predictions into a force."""
 
     def models(self) -> frozenset[str]:
-        """Names of the models whose targets it reads."""
+        """Names of the models whose predictions it reads."""
         ...
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput: ...
+    def __call__(self, state: Tensor, hand: Tensor, predictions: Mapping[str, Prediction]) -> GuidanceOutput:
+        """The force.
+
+        Args:
+            state: (..., 12) the game as the user sees it, in m and m/s, see `airhockey_marl.envs.pettingzoo_env`.
+            hand: (..., 2) u, where the hand is, in units of action.
+            predictions: of each of `models`, at the looked-ahead state.
+        """
+        ...
 
 
 @dataclass(frozen=True)
@@ -65,12 +75,9 @@ class Spring:
                 allowed = "above 0" if name == "reach" else "of at least 0"
                 raise ValueError(f"guidance.spring.{name} = {value} must be a finite number {allowed}")
 
-    def force(self, action: Tensor, target: Tensor) -> Tensor:
-        """Force (..., 2) in N from the action toward the target (..., 2)."""
-        for name, value in (("action", action), ("target", target)):
-            if not isinstance(value, Tensor):
-                raise ValueError(f"{name}: {type(value).__name__}, must be a tensor")
-        return spring_force(self.reach * action, self.reach * target, self.stiffness, self.limit)
+    def force(self, hand: Tensor, target: Tensor) -> Tensor:
+        """Force (..., 2) in N from the hand (..., 2) toward the target (..., 2), both in units of action."""
+        return spring_force(self.reach * hand, self.reach * target, self.stiffness, self.limit)
 
 
 @dataclass(frozen=True)
@@ -86,14 +93,36 @@ class Thresholds:
 
 
 @dataclass(frozen=True)
+class GuidanceSettings:
+    """What all conditions share: the spring, and the thresholds of UT by model (`conf/guidance`)."""
+
+    spring: Spring
+    thresholds: Mapping[str, Thresholds] = field(hash=False)
+
+    @classmethod
+    def from_config(cls, config: Any) -> "GuidanceSettings":
+        """The settings of the configuration's `guidance`.
+
+        Raises:
+            ValueError: a number is out of range, or a setting is unknown or missing; names it.
+        """
+        place = "guidance.thresholds"
+        thresholds = {name: construct(Thresholds, node, f"{place}.{name}") for name, node in config.thresholds.items()}
+        for name in (OPTIMAL, USER):
+            if name not in thresholds:
+                raise ValueError(f"{place}.{name} is missing")
+        return cls(construct(Spring, config.spring, "guidance.spring"), thresholds)
+
+
+@dataclass(frozen=True)
 class NoGuidance:
     """NHG: no force."""
 
     def models(self) -> frozenset[str]:
         return frozenset()
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
-        return GuidanceOutput(torch.zeros_like(action))
+    def __call__(self, state: Tensor, hand: Tensor, predictions: Mapping[str, Prediction]) -> GuidanceOutput:
+        return GuidanceOutput(torch.zeros_like(hand))
 
 
 @dataclass(frozen=True)
@@ -116,21 +145,19 @@ class SpringGuidance:
     def models(self) -> frozenset[str]:
         return frozenset({self.model})
 
-    def pull(self, action: Tensor, target: Prediction) -> tuple[Tensor, Tensor | None]:
-        """The force (..., 2) toward a target, whichever model it is from, and W_unc (...), or None without UT."""
-        force = self.spring.force(action, target.mean)
+    def pull(self, hand: Tensor, prediction: Prediction) -> tuple[Tensor, Tensor | None]:
+        """The force (..., 2) toward a prediction, whichever model it is from, and W_unc (...), or None without UT."""
+        force = self.spring.force(hand, prediction.mean)
         if self.uncertainty is None:
             return force, None
-        weight = uncertainty_weight(target.std, self.uncertainty.low, self.uncertainty.high)
+        weight = uncertainty_weight(prediction.std, self.uncertainty.low, self.uncertainty.high)
         return weight.unsqueeze(-1) * force, weight
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
-        force, weight = self.pull(action, targets[self.model])
-        return (
-            GuidanceOutput(force, w_unc_optimal=weight)
-            if self.model == OPTIMAL
-            else GuidanceOutput(force, w_unc_user=weight)
-        )
+    def __call__(self, state: Tensor, hand: Tensor, predictions: Mapping[str, Prediction]) -> GuidanceOutput:
+        force, weight = self.pull(hand, predictions[self.model])
+        if self.model == OPTIMAL:
+            return GuidanceOutput(force, w_unc_optimal=weight)
+        return GuidanceOutput(force, w_unc_user=weight)
 
 
 @dataclass(frozen=True)
@@ -152,71 +179,47 @@ class CombinedGuidance:
         weight = similarity_weight(optimal, user)
         return weight.unsqueeze(-1) * force, weight
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
-        optimal, user = self.optimal(action, targets), self.user(action, targets)
+    def __call__(self, state: Tensor, hand: Tensor, predictions: Mapping[str, Prediction]) -> GuidanceOutput:
+        optimal, user = self.optimal(state, hand, predictions), self.user(state, hand, predictions)
         force, weight = self.join(optimal.force, user.force)
         return GuidanceOutput(force, optimal.w_unc_optimal, user.w_unc_user, weight)
 
 
 @dataclass(frozen=True)
-class ProductGuidance:
-    """Not the paper's: one spring toward the product of the models' Gaussians, the more precise of which says more.
-
-    So one would combine two independent measurements of the same action; per axis,
-    mean = (mean_o / std_o^2 + mean_u / std_u^2) / (1 / std_o^2 + 1 / std_u^2).
-    """
-
-    optimal: str
-    user: str
-    spring: Spring
-
-    def models(self) -> frozenset[str]:
-        return frozenset({self.optimal, self.user})
-
-    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
-        optimal, user = targets[self.optimal], targets[self.user]
-        precision, other = optimal.std.square().reciprocal(), user.std.square().reciprocal()
-        mean = (optimal.mean * precision + user.mean * other) / (precision + other)
-        return GuidanceOutput(self.spring.force(action, mean))
-
-
-@dataclass(frozen=True)
-class BlendedGuidance:
-    """Not the paper's: the two forces in the proportion of their models' confidence.
-
-    CombHG with UT halves the force of the one that knows when the other does not; here the weights W_unc (Eq. 5) say
-    how much of the force is whose, and the larger of the two how strong it is:
-    F = max(W_o, W_u) (W_o F_o + W_u F_u) / (W_o + W_u).
-    """
-
-    optimal: SpringGuidance
-    user: SpringGuidance
-
-    def __post_init__(self) -> None:
-        for name in ("optimal", "user"):
-            if getattr(self, name).uncertainty is None:
-                raise ValueError(f"guidance.{name}.uncertainty must be thresholds: it is blended by confidence")
-
-    def models(self) -> frozenset[str]:
-        return self.optimal.models() | self.user.models()
-
-    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
-        (optimal, w_optimal), (user, w_user) = (
-            part.pull(action, targets[part.model]) for part in (self.optimal, self.user)
-        )  # each force is weighed already
-        strength = torch.maximum(w_optimal, w_user) / (w_optimal + w_user).clamp(min=1e-12)
-        return GuidanceOutput(strength.unsqueeze(-1) * (optimal + user), w_optimal, w_user)
-
-
-@dataclass(frozen=True)
 class Condition:
-    """One of the nine: the paper's letter and name, and its guidance. Others have the letters from j on."""
+    """A condition that can be played: what it is, and its guidance."""
 
-    name: str
-    letter: str
-    label: str
+    spec: ConditionSpec
     guidance: Guidance
 
-    def __post_init__(self) -> None:
-        if self.letter not in tuple(ascii_lowercase):
-            raise ValueError(f"condition.letter = {self.letter} must be one of a to z")
+    @property
+    def name(self) -> str:
+        return self.spec.name
+
+    @property
+    def letter(self) -> str:
+        return self.spec.letter
+
+    @property
+    def label(self) -> str:
+        return self.spec.label
+
+
+def build_condition(spec: ConditionSpec, settings: GuidanceSettings) -> Condition:
+    """Compose the guidance of a condition.
+
+    Raises:
+        ValueError: it names a guidance that is not registered, or settings that this one does not take.
+    """
+    if spec.guidance is not None:
+        node = {"name": spec.guidance, **as_mapping(spec.settings, "condition.settings")}
+        return Condition(spec, GUIDANCES.build(node, "condition.guidance", settings))
+
+    def toward(model: str, thresholds: str) -> SpringGuidance:
+        return SpringGuidance(model, settings.spring, settings.thresholds[thresholds] if spec.ut else None)
+
+    optimal = toward(OPTIMAL, OPTIMAL) if spec.optimal else None
+    user = None if spec.user is None else toward(ADAPTED if spec.user == ADAPTED_USER else USER, USER)
+    if optimal is not None and user is not None:
+        return Condition(spec, CombinedGuidance(optimal, user, spec.sc))
+    return Condition(spec, optimal or user or NoGuidance())

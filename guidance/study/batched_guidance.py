@@ -86,8 +86,8 @@ class BatchedGuidance:
                 raise ValueError(f"games: {games.tolist()}, must be ascending")
             self._plan = Plan(self.conditions, self.users, games)
         plan = self._plan
-        hand = torch.from_numpy(action[games]).float()
-        targets = self._targets(torch.from_numpy(state[games]).float())
+        hand, now = torch.from_numpy(action[games]).float(), torch.from_numpy(state[games]).float()
+        targets = self._targets(now)
 
         pulls = [
             toward.pull(hand[rows], Prediction(targets.mean[asked], targets.std[asked]))
@@ -106,7 +106,7 @@ class BatchedGuidance:
                     answer.w_sim[rows] = similarity
         for guidance, rows, asked in plan.others:
             said = {name: Prediction(targets.mean[index], targets.std[index]) for name, index in asked.items()}
-            for whole, part in zip(answer, guidance(hand[rows], said), strict=True):
+            for whole, part in zip(answer, guidance(now[rows], hand[rows], said), strict=True):
                 if part is not None:
                     whole[rows] = part.float()
         return GuidanceOutput(*(part.double() for part in answer))

@@ -2,20 +2,19 @@
 
 import hashlib
 import json
+import sys
 from importlib.metadata import version
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.experiment.building import build
-from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.files import sha256
 from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from airhockey_marl.players.players import Player
-from guidance.forces.conditions import Condition
+from guidance.forces.condition_specs import select_specs
+from guidance.forces.conditions import Condition, GuidanceSettings, build_condition
 from guidance.study.models import Models
 
 FROZEN = Path(__file__).parent / "frozen.json"  # study_hash and seed of the study
@@ -24,23 +23,14 @@ THE_STUDY = ("users", "guidance", "study", "participants", "opponent")  # with t
 
 
 def load_conditions(cfg: DictConfig) -> list[Condition]:
-    """The condition of the configuration; without one, all of `conf/condition`, in the order of their letters.
-
-    With `beyond` those of `conf/condition/beyond` as well, which are not the paper's.
+    """The condition of the configuration; without one the paper's nine, and those that `beyond` names.
 
     Raises:
-        ValueError: a condition is not valid, or two have the same letter.
+        ValueError: a condition is not valid or unknown, or two have the same letter.
     """
-    if cfg.get("condition") is not None:
-        return [build(cfg.condition)]
-    nodes = [OmegaConf.load(path) for path in (CONF / "condition").glob("**/*.yaml" if cfg.get("beyond") else "*.yaml")]
-    for node in nodes:
-        node._set_parent(cfg)  # what a condition refers to, as ${guidance.spring}, is in the configuration
-    conditions = sorted((build(node) for node in nodes), key=lambda condition: condition.letter)
-    for one, other in pairwise(conditions):
-        if one.letter == other.letter:
-            raise ValueError(f"condition.letter = {one.letter} is that of {one.name} and of {other.name}")
-    return conditions
+    settings = GuidanceSettings.from_config(cfg.guidance)
+    specs = select_specs(cfg.get("condition"), cfg.get("beyond"), lambda text: print(f"note: {text}", file=sys.stderr))
+    return [build_condition(spec, settings) for spec in specs]
 
 
 def load_models(cfg: DictConfig, device: str = "cpu") -> Models:

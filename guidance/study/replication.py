@@ -13,9 +13,10 @@ from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment import parallel as cluster
-from airhockey_marl.experiment.building import build
+from airhockey_marl.experiment.registry import construct
 from guidance.simulated_users import Population, load_advisors, sample_people
 from guidance.simulated_users.population import TRAITS
+from guidance.study.protocol import Protocol
 from guidance.study.provenance import load_conditions, load_models, load_opponent
 from guidance.study.sensitivity import latin_hypercube, scale_assumptions
 from guidance.study.study import Cohort, run_studies
@@ -63,11 +64,11 @@ class Studies:
 
     def __init__(self, cfg: DictConfig) -> None:
         self.cfg = cfg
-        self.population: Population = build(cfg.users.population)
+        self.population: Population = construct(Population, cfg.users.population, "users.population")
         self.models = load_models(cfg, cfg.device)
         self.opponent = load_opponent(cfg, cfg.device)
         self.mentors = load_advisors(cfg.users.mentors)
-        self.conditions, self.protocol = load_conditions(cfg), build(cfg.study)
+        self.conditions, self.protocol = load_conditions(cfg), construct(Protocol, cfg.study, "study")
         self.factors = assumptions(cfg, self.population)
 
     def play(self, batch: Batch, progress: Callable[[str, float], None] = lambda what, share: None) -> pd.DataFrame:

@@ -82,9 +82,9 @@ class PredictionTap:
     def models(self) -> frozenset[str]:
         return self.guidance.models() | self.asked
 
-    def __call__(self, action: Tensor, targets: Mapping[str, Prediction]) -> GuidanceOutput:
-        self.targets = targets
-        return self.guidance(action, targets)
+    def __call__(self, state: Tensor, hand: Tensor, predictions: Mapping[str, Prediction]) -> GuidanceOutput:
+        self.targets = predictions
+        return self.guidance(state, hand, predictions)
 
     @property
     def optimal(self) -> Prediction:

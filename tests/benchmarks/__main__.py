@@ -13,6 +13,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from contextlib import closing
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -21,12 +22,14 @@ import torch
 from hydra import compose, initialize_config_dir
 from torch.func import grad_and_value
 
+from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.world import SEATS, World
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League
+from airhockey_marl.league.opponent_sampling import OPPONENT_SAMPLERS
 from airhockey_marl.players.inference import greedy_player
 from airhockey_marl.players.networks import USER_PREDICTION_HIDDEN, GaussianPolicy
 from airhockey_marl.self_play.collectors import MULTISYNC, CollectorConfig, RolloutWorkers
@@ -34,6 +37,7 @@ from airhockey_marl.self_play.league_training import train_league
 from guidance.commands.meta_train import COMPILERS
 from guidance.simulated_users import SimulatedUsers, load_advisors, personal_streams, sample_people
 from guidance.study.models import Models
+from guidance.study.protocol import Protocol
 from guidance.study.provenance import load_conditions
 from guidance.study.study import run_study
 from guidance.user_model.loss import prediction_loss
@@ -105,7 +109,10 @@ def trained_frames(*overrides: str, generations: int = 2, steps: int = 100_000) 
     """End to end: collection, advantages, update, freezing, matches, writing."""
     cfg = config("train", f"generations={generations}", f"steps_per_generation={steps}", *overrides)
     policy = GaussianPolicy(cfg.hidden, cfg.inputs)
-    learner, sampler = build(cfg.algorithm).learner(policy, cfg.gamma), build(cfg.league.sampler)
+    learner, sampler = (
+        ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, cfg.gamma),
+        OPPONENT_SAMPLERS.build(cfg.league.sampler, "league.sampler"),
+    )
     with (
         closing(RolloutWorkers(CollectorConfig(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)) as crew,
         tempfile.TemporaryDirectory() as folder,
@@ -200,9 +207,11 @@ def study() -> float:
         rating_scales=dict(cfg.users.scales),
         seed=cfg.seed,
     )
-    run(sample_people(1, 0), protocol=build(cfg.study, rounds=1, min_seconds=0))  # compile
+    run(
+        sample_people(1, 0), protocol=replace(construct(Protocol, cfg.study, "study"), rounds=1, min_seconds=0)
+    )  # compile
     began = time.perf_counter()
-    run(sample_people(cfg.participants, cfg.seed), protocol=build(cfg.study))
+    run(sample_people(cfg.participants, cfg.seed), protocol=construct(Protocol, cfg.study, "study"))
     return time.perf_counter() - began
 
 

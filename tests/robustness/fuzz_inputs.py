@@ -24,11 +24,13 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from safetensors.torch import save_file
 
-from airhockey_marl.experiment.building import build
+from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.experiment.checkpoint import Checkpoint
 from airhockey_marl.experiment.command import require_counts, require_numbers, resumed_config
 from airhockey_marl.experiment.files import load_tensors, save_tensors
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League
+from airhockey_marl.league.opponent_sampling import OPPONENT_SAMPLERS
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.forces.equations import similarity_weight, spring_force, uncertainty_weight
 from guidance.haptics.safety import Safety, SafetyLimits
@@ -109,7 +111,7 @@ class Case:
             b"naturalness,controllability,comfort\nS01,nhg,1,.5,2.0,.5,.1,4,4,4,4\nS02,oahg,1,.5,2,.5,.1,4,4,4,4\n"
         )
         self.tsv = "\t".join(COLUMNS).encode() + b"\n" + b"\t".join(b"0.5" for _ in COLUMNS) + b"\n"
-        self.yaml = b"resume: null\nseed: 1\nmaml:\n  block: 3\n  lr: 0.1\npart:\n  _target_: guidance.haptics.safety.SafetyLimits\n"
+        self.yaml = b"resume: null\nseed: 1\nmaml:\n  block: 3\n  lr: 0.1\npart:\n  force: 3.0\n"
 
     def checkpoint(self) -> Checkpoint:
         policy = GaussianPolicy([4])
@@ -236,24 +238,18 @@ class Case:
             cfg = resumed_config(self.folder / "run", "state")
             require_counts(cfg, "maml.block", "seed")
             require_numbers(cfg, "maml.lr")
-            build(cfg.part)
+            construct(SafetyLimits, cfg.part, "part")
 
         return refused(go_on)
 
     def target(self, rng: np.random.Generator) -> str:
-        names = [
-            "os.system",
-            "builtins.exec",
-            "subprocess.run",
-            "guidance.haptics.servo.ServoProcess",
-            "guidance.forces.conditions.torch.load",
-        ]
-        node: object = {"_target_": str(rng.choice(names)), "command": f"touch {self.trap}"}
+        names = ["os.system", "builtins.exec", "guidance.haptics.servo.ServoProcess", "../trpo", "trpo", ""]
+        key = ("name", "_target_")[rng.integers(2)]
+        node: object = {key: str(rng.choice(names)), "command": f"touch {self.trap}"}
         for _ in range(rng.integers(4)):
-            node = [{"deeper": node}, [1, node], {"_target_": "guidance.haptics.safety.SafetyLimits", "force": node}][
-                rng.integers(3)
-            ]
-        result = refused(lambda: build(OmegaConf.create({"part": node}).part))
+            node = [{"deeper": node}, [1, node], {"name": "mixture", "samplers": [node]}][rng.integers(3)]
+        registry = (ALGORITHMS, OPPONENT_SAMPLERS)[rng.integers(2)]
+        result = refused(lambda: registry.build(OmegaConf.create({"part": node}).part, "part"))
         assert result == REFUSED
         return result
 

@@ -9,10 +9,10 @@ import torch
 from hydra import compose, initialize_config_dir
 from tensordict import TensorDict
 
+from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.algorithms.divergence import name_divergence, require_finite_modules, require_sound_metrics
 from airhockey_marl.algorithms.trpo import TRPOLearner
 from airhockey_marl.commands import train
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.files import load_tensors
 from airhockey_marl.players.networks import GaussianPolicy
@@ -97,7 +97,7 @@ def test_every_algorithm_shows_a_reward_that_is_no_number(algorithm):
         cfg.algorithm.updates, cfg.algorithm.minibatch, cfg.algorithm.capacity = 20, 64, 1000
     torch.manual_seed(0)
     policy = GaussianPolicy([8], "paddle")
-    learner = build(cfg.algorithm).learner(policy, 0.99)
+    learner = ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, 0.99)
     require_sound_metrics(learner.update(play_with(0.0)))
     require_finite_modules({"policy": policy, **learner.parts()})
     with pytest.raises((FloatingPointError, ValueError), match=r"nan|not finite"):
@@ -107,7 +107,7 @@ def test_every_algorithm_shows_a_reward_that_is_no_number(algorithm):
 
 def test_trpo_takes_no_step_of_which_it_cannot_say_where_it_leads():
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        settings = build(compose("train").algorithm)
+        settings = ALGORITHMS.build(compose("train").algorithm, "algorithm")
     learner = TRPOLearner(settings, GaussianPolicy([8]), 0.99)
     before = [parameter.clone() for parameter in learner.policy.parameters()]
     observation, action = torch.randn(50, 12), torch.randn(50, 2)

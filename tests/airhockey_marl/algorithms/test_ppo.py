@@ -2,7 +2,6 @@
 
 import copy
 from collections.abc import Mapping
-from functools import partial
 from typing import Any
 
 import pytest
@@ -12,14 +11,13 @@ from tensordict import TensorDict
 from torch import nn
 from torch.optim import Optimizer
 
-from airhockey_marl.algorithms.base import Algorithm
+from airhockey_marl.algorithms.base import ALGORITHMS, Algorithm
 from airhockey_marl.algorithms.ppo import PPOConfig
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
-from airhockey_marl.players.networks import BODY_SCALE, Critic, GaussianPolicy
+from airhockey_marl.players.networks import BODY_SCALE, GaussianPolicy
 
 SETTINGS = {
-    "clip": 0.2,
+    "clip_epsilon": 0.2,
     "epochs": 5,
     "minibatch": 700,
     "lr": 5e-3,
@@ -27,7 +25,8 @@ SETTINGS = {
     "critic_coef": 0.5,
     "max_grad_norm": 0.5,
     "gae_lambda": 0.95,
-    "critic": partial(Critic, [32]),
+    "critic_hidden": [32],
+    "critic_inputs": "paddle",
 }
 STEPS = 3  # of a round of `foresight`
 SCALE = torch.tensor(BODY_SCALE * 3)  # of what a policy is used to see
@@ -178,8 +177,8 @@ def test_it_can_be_resumed_exactly():
 @pytest.mark.parametrize(
     ("field", "value"),
     [
-        ("clip", 0),
-        ("clip", 2.0),
+        ("clip_epsilon", 0),
+        ("clip_epsilon", 2.0),
         ("epochs", 0),
         ("minibatch", 0),
         ("lr", -1.0),
@@ -195,4 +194,4 @@ def test_wrong_settings_are_named(field, value):
 
 
 def test_the_yaml_is_a_ppo():
-    assert isinstance(build(OmegaConf.load(CONF / "algorithm" / "ppo.yaml")), PPOConfig)
+    assert isinstance(ALGORITHMS.build(OmegaConf.load(CONF / "algorithm" / "ppo.yaml"), "algorithm"), PPOConfig)

@@ -4,8 +4,8 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.algorithms.sac import QNetwork, ReplayBuffer, SACConfig
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.players.networks import GaussianPolicy
 from tests.airhockey_marl.algorithms.test_ppo import always, check_resuming, foresight, learned, regret
@@ -133,6 +133,6 @@ def test_wrong_layers_are_named():
 
 
 def test_the_yaml_is_a_sac():
-    algorithm = build(OmegaConf.load(CONF / "algorithm" / "sac.yaml"))
+    algorithm = ALGORITHMS.build(OmegaConf.load(CONF / "algorithm" / "sac.yaml"), "algorithm")
     assert isinstance(algorithm, SACConfig)
     assert len(algorithm.learner(GaussianPolicy(), 0.98).parts()["memory"].reward) == algorithm.capacity

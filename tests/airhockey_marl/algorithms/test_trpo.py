@@ -1,7 +1,5 @@
 """TRPO's mathematics: the solver, the Fisher matrix, the trust region, and that it learns."""
 
-from functools import partial
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -20,9 +18,10 @@ SETTINGS = {
     "damping": 0.1,
     "fisher_subsample": 1.0,
     "line_search_max_iter": 10,
-    "shrink": 0.7,
+    "line_search_shrink": 0.7,
     "gae_lambda": 0.95,
-    "critic": partial(Critic, [32]),
+    "critic_hidden": [32],
+    "critic_inputs": "paddle",
     "critic_epochs": 3,
     "critic_batch_size": 250,
     "critic_lr": 1e-3,
@@ -128,7 +127,7 @@ def test_a_batch_that_teaches_nothing_changes_nothing():
 
 @pytest.mark.parametrize(
     ("field", "value"),
-    [("max_kl", 0.0), ("cg_max_steps", 0), ("damping", -1.0), ("shrink", 1.0), ("fisher_subsample", 0.0)],
+    [("max_kl", 0.0), ("cg_max_steps", 0), ("damping", -1.0), ("line_search_shrink", 1.0), ("fisher_subsample", 0.0)],
 )
 def test_wrong_settings_are_named(field, value):
     with pytest.raises(ValueError, match=f"algorithm.{field} = {value}"):

@@ -7,8 +7,8 @@ import pytest
 from hydra import compose, initialize_config_dir
 from omegaconf import OmegaConf
 
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
+from airhockey_marl.experiment.registry import construct
 from guidance.simulated_users import Population
 
 PRIMARY = sorted(path.stem for path in CONF.glob("*.yaml"))
@@ -61,4 +61,4 @@ def test_every_key_of_a_primary_yaml_is_explained_above_it(name):
 
 def test_the_yaml_of_the_population_is_the_population():
     cfg = OmegaConf.load(CONF / "users" / "default.yaml")
-    assert build(cfg.population) == Population.usual()
+    assert construct(Population, cfg.population, "users.population") == Population.usual()

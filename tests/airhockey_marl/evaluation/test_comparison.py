@@ -26,7 +26,7 @@ def make_run(folder: Path, algorithm: str, seed: int, hidden: tuple[int, ...] = 
     league.save(folder / "league.safetensors")
     (folder / "card.json").write_text(json.dumps({"seconds": 8.0, "seed": seed}))
     cfg = {
-        "algorithm": {"_target_": f"airhockey_marl.{algorithm.lower()}.{algorithm}", "lr": 0.1},
+        "algorithm": {"name": algorithm.lower(), "lr": 0.1},
         "env": {"frame_skip": 25},  # half a second: few are soon played
         "steps_per_generation": STEPS,
         "seed": seed,
@@ -180,7 +180,7 @@ def test_runs_that_cannot_be_read_or_compared_are_named(monkeypatch, capsys, swe
     make_run(sweep / "3", "SAC", 0)
     assert "SAC with seed 0 twice" in refused()
     OmegaConf.save({"seed": 3}, sweep / "3" / ".hydra" / "config.yaml")
-    assert "3 does not tell algorithm._target_, steps_per_generation, env.frame_skip" in refused()
+    assert "3 does not tell algorithm.name, steps_per_generation, env.frame_skip" in refused()
     (sweep / "3" / ".hydra" / "config.yaml").write_text("a: [")
     assert "3/.hydra/config.yaml is no yaml" in refused()
     (sweep / "3" / "card.json").unlink()

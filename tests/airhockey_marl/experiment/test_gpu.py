@@ -8,7 +8,7 @@ import torch
 from hydra import compose, initialize_config_dir
 from tensordict import TensorDict
 
-from airhockey_marl.experiment.building import build
+from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
@@ -42,7 +42,7 @@ def test_an_update_goes_where_it_goes_on_a_cpu(algorithm):
         torch.manual_seed(0)
         policy = GaussianPolicy([16]).to(device)
         before = copy.deepcopy(policy).cpu()
-        learner = build(cfg.algorithm).learner(policy, cfg.gamma)
+        learner = ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, cfg.gamma)
         metrics = learner.update(batch().to(device))
         assert all(map(math.isfinite, metrics.values()))
         league = League(before)

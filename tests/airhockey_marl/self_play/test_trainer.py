@@ -58,7 +58,7 @@ def test_goals_of_a_batch_by_blocks_of_tables():
 
 
 def test_a_pool_remembers_how_the_learner_fared_and_forgets_slowly():
-    pool = OpponentPool(league_of(2), ["striker"], PFSP("hard"), memory=0.5)
+    pool = OpponentPool(league_of(2), ["striker"], PFSP("squared"), memory=0.5)
     assert pool.standing().win_rates.tolist() == [0.5] * 3
     pool.remember([0, 0, "striker"], np.array([[3, 1], [5, 1], [0, 8]]))
     assert np.allclose(pool.standing().win_rates, [9 / 12, 0.5, 0.1])

@@ -15,9 +15,9 @@ from tensordict import NonTensorData, TensorDict
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.world import World
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.files import sha256
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from guidance.commands import collect
@@ -41,7 +41,7 @@ def run(folder: Path, *arguments: str) -> Path:
 
 
 def population() -> Population:
-    return build(OmegaConf.load(CONF / "users" / "default.yaml").population)
+    return construct(Population, OmegaConf.load(CONF / "users" / "default.yaml").population, "users.population")
 
 
 def play(people: np.ndarray, seed: int, ticks: int = TICKS) -> collect.Demonstrations:

@@ -27,6 +27,7 @@ from guidance.display.film import (
     draw_sheet,
     save_film,
 )
+from guidance.forces.condition_specs import ConditionSpec
 from guidance.forces.conditions import (
     CombinedGuidance,
     Condition,
@@ -45,8 +46,8 @@ from guidance.study.protocol import Protocol, spawn_rng_states
 from guidance.study.tick_log import ACTION, STATE
 
 TABLE, SPRING = TableSpec(), Spring(50.0, 3.0, HAND_REACH)
-NHG = Condition("nhg", "a", "NHG", NoGuidance())
-OAHG = Condition("oahg", "b", "OAHG (vanilla)", SpringGuidance("optimal", SPRING))
+NHG = Condition(ConditionSpec("nhg", "a", "NHG"), NoGuidance())
+OAHG = Condition(ConditionSpec("oahg", "b", "OAHG (vanilla)"), SpringGuidance("optimal", SPRING))
 SCENE = FilmInfo(TABLE, "OAHG (vanilla)", "simulated striker", "generation 25", frozenset({"optimal"}), False, 800)
 
 
@@ -163,7 +164,7 @@ def test_the_weights_in_the_log_follow_from_the_stds_in_the_log(models):
     both = CombinedGuidance(
         SpringGuidance("optimal", SPRING, low), SpringGuidance("user", SPRING, high), similarity=True
     )
-    ticks = play(models, Condition("both", "i", "both", both))
+    ticks = play(models, Condition(ConditionSpec("both", "i", "both"), both))
     for name, limits in (("optimal", low), ("predicted", high)):
         std = torch.tensor(ticks[[f"{name}_std_x", f"{name}_std_y"]].to_numpy())
         expected = uncertainty_weight(std, limits.low, limits.high).numpy()

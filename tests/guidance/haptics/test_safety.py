@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from omegaconf import OmegaConf
 
-from airhockey_marl.experiment.building import build
 from airhockey_marl.experiment.command import CONF
+from airhockey_marl.experiment.registry import construct
 from guidance.haptics.safety import Safety, SafetyLimits, clip_norm
 
 STEP = 0.001
@@ -328,7 +328,7 @@ def test_only_the_soft_start_may_be_nothing(name):
 
 def test_the_configuration_is_the_default_and_every_key_is_explained():
     path = CONF / "safety" / "default.yaml"
-    assert build(OmegaConf.load(path)) == SafetyLimits()
+    assert construct(SafetyLimits, OmegaConf.load(path), "safety") == SafetyLimits()
     lines = path.read_text(encoding="utf-8").splitlines()
     keys = [index for index, line in enumerate(lines) if not line.startswith("#")]
     assert len(keys) == 1 + len(asdict(SafetyLimits())) and all(lines[index - 1].startswith("#") for index in keys)

@@ -11,6 +11,7 @@ import torch
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.players import greedy
+from guidance.forces.condition_specs import ConditionSpec
 from guidance.forces.conditions import CombinedGuidance, Condition, NoGuidance, Spring, SpringGuidance, Thresholds
 from guidance.simulated_users import NO_ADVISORS, SimulatedUsers, sample_people
 from guidance.study.batched_guidance import BatchedGuidance
@@ -21,13 +22,11 @@ from guidance.study.study import Cohort, run_studies, run_study
 
 SHORT = Protocol(familiarization=0.2, rounds=2, extra_rounds=1, min_seconds=4, round_seconds=3)
 SPRING, UT = Spring(50.0, 3.0, 0.075), Thresholds(0.3, 0.6)
-NHG = Condition("nhg", "a", "NHG", NoGuidance())
-OAHG = Condition("oahg", "b", "OAHG (vanilla)", SpringGuidance("optimal", SPRING))
-UPHG_UA = Condition("uphg_ua", "e", "UPHG (UA)", SpringGuidance("adapted", SPRING))
+NHG = Condition(ConditionSpec("nhg", "a", "NHG"), NoGuidance())
+OAHG = Condition(ConditionSpec("oahg", "b", "OAHG (vanilla)"), SpringGuidance("optimal", SPRING))
+UPHG_UA = Condition(ConditionSpec("uphg_ua", "e", "UPHG (UA)"), SpringGuidance("adapted", SPRING))
 COMBHG = Condition(
-    "combhg_ut_ua_sc",
-    "i",
-    "CombHG (UT+UA+SC)",
+    ConditionSpec("combhg_ut_ua_sc", "i", "CombHG (UT+UA+SC)"),
     CombinedGuidance(SpringGuidance("optimal", SPRING, UT), SpringGuidance("adapted", SPRING, UT), similarity=True),
 )
 SCALES = dict.fromkeys(
@@ -60,7 +59,7 @@ def test_the_same_seed_gives_the_same_trials(models):
 def test_no_force_is_nhg_bit_for_bit(models):
     """A spring without stiffness, weighed and combined as in (i), leaves no trace in anything that was played."""
     slack = SpringGuidance("optimal", Spring(0.0, 3.0, 0.075), UT)
-    nothing = Condition("nothing", "a", "nothing", CombinedGuidance(slack, slack, similarity=True))
+    nothing = Condition(ConditionSpec("nothing", "a", "nothing"), CombinedGuidance(slack, slack, similarity=True))
     nhg, none = study(models, [NHG]), study(models, [nothing])
     played = [c for c in nhg.columns if not c.startswith("w_") and c != "condition"]
     assert nhg[played].equals(none[played])
