@@ -3,6 +3,7 @@
 import hashlib
 import json
 import sys
+from collections.abc import Callable
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -13,7 +14,7 @@ from airhockey_marl.experiment.files import sha256
 from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from airhockey_marl.players.players import Player
-from guidance.forces.condition_specs import select_specs
+from guidance.forces.condition_specs import ConditionSpec, select_specs
 from guidance.forces.conditions import Condition, GuidanceSettings, build_condition
 from guidance.study.models import Models
 
@@ -22,14 +23,23 @@ VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas
 THE_STUDY = ("users", "guidance", "study", "participants", "opponent")  # with the models, what makes it another one
 
 
-def load_conditions(cfg: DictConfig) -> list[Condition]:
+def condition_specs(cfg: DictConfig, warn: Callable[[str], None] = lambda text: None) -> list[ConditionSpec]:
     """The condition of the configuration; without one the paper's nine, and those that `beyond` names.
 
     Raises:
         ValueError: a condition is not valid or unknown, or two have the same letter.
     """
+    return select_specs(cfg.get("condition"), cfg.get("beyond"), warn)
+
+
+def load_conditions(cfg: DictConfig) -> list[Condition]:
+    """The conditions of `condition_specs`, ready to be played.
+
+    Raises:
+        ValueError: as `condition_specs`, or a setting of the guidance is out of range.
+    """
     settings = GuidanceSettings.from_config(cfg.guidance)
-    specs = select_specs(cfg.get("condition"), cfg.get("beyond"), lambda text: print(f"note: {text}", file=sys.stderr))
+    specs = condition_specs(cfg, lambda text: print(f"note: {text}", file=sys.stderr))
     return [build_condition(spec, settings) for spec in specs]
 
 
@@ -80,6 +90,10 @@ def manifest(cfg: DictConfig, hashes: dict[str, str], command_line: str, seconds
         "study_hash": digest,
         "frozen": (digest, cfg.seed) == (fixed["study_hash"], fixed["seed"]),
         "models": hashes,
+        "conditions": [
+            {"name": s.name, "letter": s.letter, "label": s.label, "color": s.color, "against": list(s.against)}
+            for s in condition_specs(cfg)
+        ],
         "versions": {name: version(name) for name in VERSIONS},
         "seconds": round(seconds, 1),
         "config": OmegaConf.to_container(cfg, resolve=True),
