@@ -1,17 +1,27 @@
-"""What the report pages have in common: how a template is filled, and how a number is written."""
+"""HTML report pages: load a template on top of the shared base page, and format numbers."""
 
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 
-import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
+
+SHARED = Path(__file__).parent / "templates"  # base.html with the style of all pages, macros.html
 
 
 def template(folder: Path, name: str, **filters: Callable) -> Template:
-    """A template of a folder, strict about what it is given, with these filters and the common ones."""
+    """Load a page template.
+
+    Args:
+        folder: of the template; it may extend `base.html` and import from `macros.html`.
+        filters: beside the common ones, `number` and `pretty` (indented JSON).
+
+    Returns:
+        The template; rendering it raises if a variable is undefined.
+    """
     environment = Environment(
-        loader=FileSystemLoader(folder),
+        loader=FileSystemLoader([folder, SHARED]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
@@ -25,6 +35,8 @@ def template(folder: Path, name: str, **filters: Callable) -> Template:
     return environment.get_template(name)
 
 
-def number(value: float, digits: int = 2) -> str:
-    """With a true minus; a dash for what is not a number."""
-    return "–" if pd.isna(value) else f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0: no −0.00
+def number(value: float | None, digits: int = 2) -> str:
+    """Format a number with a typographic minus sign; a dash for None and NaN."""
+    if value is None or math.isnan(value):
+        return "–"
+    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0 turns -0.0 into 0.0
