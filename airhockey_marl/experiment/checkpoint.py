@@ -1,4 +1,4 @@
-"""All that a training run carries from one generation to the next, in one file, so that it can be resumed exactly."""
+"""Checkpoints of training runs: everything that changes during training, in one file, for an exact resume."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -14,81 +14,87 @@ from airhockey_marl.experiment.files import load_tensors, save_tensors
 
 @dataclass
 class Checkpoint:
-    """What changes while a run learns, and the random numbers it learns by.
+    """The state of a training run.
 
     Attributes:
-        parts: by name, the policy and whatever else is trained in place (`learner.Learner.parts`).
+        modules: by name, the policy and whatever else is trained in place (`Learner.modules`).
         rng: draws the opponents.
-        streams: the tables' random numbers, arrays of uint64; together with torch's own they are all there are.
+        rng_states: random number states of the tables, arrays of uint64. Together with `rng` and torch's global
+            generator they are all the random numbers of a run.
     """
 
-    parts: Mapping[str, nn.Module | Optimizer]
+    modules: Mapping[str, nn.Module | Optimizer]
     rng: np.random.Generator
-    streams: Sequence[np.ndarray]
+    rng_states: Sequence[np.ndarray]
 
     def save(self, path: Path, facts: Mapping[str, object]) -> None:
-        """Write the state, whole; `facts` (any JSON) go with it."""
+        """Write the state and `facts` (any JSON) atomically."""
         tensors = {"torch_rng": torch.get_rng_state()}
-        for part, owner in self.parts.items():
-            tensors |= {f"{part}.{name}": tensor for name, tensor in _tensors_of(owner).items()}
-        for index, stream in enumerate(self.streams):
-            tensors[f"streams.{index}"] = torch.from_numpy(stream.view(np.int64).copy())
+        for name, module in self.modules.items():
+            tensors |= {f"{name}.{key}": tensor for key, tensor in _state_tensors(module).items()}
+        for index, state in enumerate(self.rng_states):
+            tensors[f"streams.{index}"] = torch.from_numpy(state.view(np.int64).copy())
         save_tensors(path, tensors, {**facts, "rng": self.rng.bit_generator.state})
 
-    def load(self, path: Path, kinds: Mapping[str, type]) -> dict[str, object]:
-        """Take over the state that `save` wrote; returns the facts.
+    def load(self, path: Path, fact_types: Mapping[str, type]) -> dict[str, object]:
+        """Restore the state that `save` wrote, in place.
 
         Args:
-            kinds: the facts that it must have, and of what type each is.
+            fact_types: the facts that the file must have, and their types.
+
+        Returns:
+            The facts.
 
         Raises:
-            ValueError: the file is missing, broken or of another run's making.
+            ValueError: the file is missing, damaged or of a run with another architecture.
         """
         tensors, facts = load_tensors(path)
-        of: dict[str, dict[str, torch.Tensor]] = {part: {} for part in (*self.parts, "streams", "torch_rng")}
+        groups: dict[str, dict[str, torch.Tensor]] = {name: {} for name in (*self.modules, "streams", "torch_rng")}
         for name, tensor in tensors.items():
-            part, _, rest = name.partition(".")
-            of.setdefault(part, {})[rest] = tensor
-        if len(of) > len(self.parts) + 2 or not of["torch_rng"] or len(of["streams"]) != len(self.streams):
+            group, _, key = name.partition(".")
+            groups.setdefault(group, {})[key] = tensor
+        n_states = len(groups["streams"])
+        if len(groups) > len(self.modules) + 2 or not groups["torch_rng"] or n_states != len(self.rng_states):
             raise ValueError(f"{path} is not the state of such a training run")
-        for name, kind in kinds.items():
-            if not isinstance(facts.get(name), kind) or isinstance(facts[name], bool):
-                raise ValueError(f"{path}: {name} = {facts.get(name)!r} must be a {kind.__name__}")
-        for part, owner in self.parts.items():
-            _take_over(owner, of[part], f"{path}: {part}")
+        for name, fact_type in fact_types.items():
+            if not isinstance(facts.get(name), fact_type) or isinstance(facts[name], bool):
+                raise ValueError(f"{path}: {name} = {facts.get(name)!r} must be a {fact_type.__name__}")
+        for name, module in self.modules.items():
+            _load_state(module, groups[name], f"{path}: {name}")
         try:
             self.rng.bit_generator.state = facts.pop("rng")
-            for index, stream in enumerate(self.streams):
-                stream[:] = of["streams"][str(index)].numpy().view(np.uint64)
-            torch.set_rng_state(of["torch_rng"][""])
+            for index, state in enumerate(self.rng_states):
+                state[:] = groups["streams"][str(index)].numpy().view(np.uint64)
+            torch.set_rng_state(groups["torch_rng"][""])
         except (KeyError, TypeError, ValueError, OverflowError, RuntimeError) as error:
             raise ValueError(f"{path} has random numbers of another kind: {error}") from error
         return facts
 
 
-def _tensors_of(owner: nn.Module | Optimizer) -> dict[str, torch.Tensor]:
-    """Everything that an optimizer or a module remembers, by name."""
-    if isinstance(owner, nn.Module):
-        return {name: tensor.cpu() for name, tensor in owner.state_dict().items()}
-    memories = owner.state_dict()["state"]
-    return {f"{index}.{name}": tensor.cpu() for index, memory in memories.items() for name, tensor in memory.items()}
+def _state_tensors(module: nn.Module | Optimizer) -> dict[str, torch.Tensor]:
+    """The tensors in the state of a module or an optimizer, by name, on the CPU."""
+    if isinstance(module, nn.Module):
+        return {name: tensor.cpu() for name, tensor in module.state_dict().items()}
+    states = module.state_dict()["state"]
+    return {f"{index}.{name}": tensor.cpu() for index, state in states.items() for name, tensor in state.items()}
 
 
-def _take_over(owner: nn.Module | Optimizer, tensors: dict[str, torch.Tensor], what: str) -> None:
+def _load_state(module: nn.Module | Optimizer, tensors: dict[str, torch.Tensor], label: str) -> None:
+    """Load what `_state_tensors` returned; raises ValueError if values are not finite or shapes do not match."""
     for name, tensor in tensors.items():
         if tensor.is_floating_point() and not tensor.isfinite().all():
-            raise ValueError(f"{what}.{name} has values that are not finite, must have none")
-    if isinstance(owner, nn.Module):
+            raise ValueError(f"{label}.{name} has values that are not finite, must have none")
+    if isinstance(module, nn.Module):
         try:
-            owner.load_state_dict(tensors)
+            module.load_state_dict(tensors)
         except RuntimeError as error:
-            raise ValueError(f"{what} is of another architecture: {error}") from error
+            raise ValueError(f"{label} is of another architecture: {error}") from error
         return
-    sizes = [parameter.shape for group in owner.param_groups for parameter in group["params"]]
-    memories: dict[int, dict[str, torch.Tensor]] = {}
+    shapes = [parameter.shape for group in module.param_groups for parameter in group["params"]]
+    states: dict[int, dict[str, torch.Tensor]] = {}
     for name, tensor in tensors.items():
-        index, _, memory = name.partition(".")
-        if not index.isdecimal() or int(index) >= len(sizes) or tensor.shape not in ((), sizes[int(index)]):
-            raise ValueError(f"{what} is of another architecture: {name} is {tuple(tensor.shape)}")
-        memories.setdefault(int(index), {})[memory] = tensor
-    owner.load_state_dict({**owner.state_dict(), "state": memories})
+        index, _, key = name.partition(".")
+        if not index.isdecimal() or int(index) >= len(shapes) or tensor.shape not in ((), shapes[int(index)]):
+            raise ValueError(f"{label} is of another architecture: {name} is {tuple(tensor.shape)}")
+        states.setdefault(int(index), {})[key] = tensor
+    module.load_state_dict({**module.state_dict(), "state": states})
