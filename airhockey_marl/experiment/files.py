@@ -1,4 +1,9 @@
-"""Files that are either whole or absent, and model weights that never need a pickle."""
+"""Atomic writes of files, and tensors in safetensors files with metadata and a content hash.
+
+torch and safetensors are imported by the functions that need them, so that commands which only write text start fast.
+"""
+
+from __future__ import annotations
 
 import errno
 import glob
@@ -10,26 +15,23 @@ from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import NamedTemporaryFile
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import torch
-from safetensors import SafetensorError, safe_open
-from safetensors.torch import save_file
+if TYPE_CHECKING:
+    import torch
 
-# why something cannot be written that is nobody's mistake in a program: no room, no right, no disk
+# errors of the disk, not of the program: it is full, read-only, forbidden or broken
 UNWRITABLE = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
-
-
-HASH = "sha256_of_all_this"  # among a file's facts; older files have none
+HASH = "sha256_of_all_this"  # key of the content hash in a file's metadata; files of early versions have none
 
 
 class WriteError(OSError):
-    """Something was not written; the message names it, and says what of it is left."""
+    """A file could not be written; the message names it."""
 
 
 @contextmanager
 def name_write_errors(path: Path | str) -> Iterator[None]:
-    """For whatever writes `path`: an `OSError` in it names the file, and says that nothing else is lost."""
+    """Turn an `OSError` of the block, which writes `path`, into a `WriteError` that names the path."""
     try:
         yield
     except WriteError:
@@ -43,13 +45,13 @@ def name_write_errors(path: Path | str) -> Iterator[None]:
 
 @contextmanager
 def atomic_write(path: Path | str) -> Iterator[Path]:
-    """Yield a temporary path beside `path`; when the block ends well, it takes `path`'s place in one rename.
+    """Yield a temporary path beside `path`, and rename it to `path` when the block ends.
 
-    A reader therefore sees the old file or the new one, never half of one. If the block raises, the
-    temporary file is removed and `path` is left as it was.
+    A reader sees the old file or the new one, never half of one. If the block raises, the temporary file is removed and
+    `path` keeps its content.
 
     Raises:
-        Unwritten: there is no room or no right to; names `path`.
+        WriteError: the disk is full or read-only; names `path`.
     """
     path = Path(path)
     with name_write_errors(path):
@@ -67,7 +69,7 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
 
 
 def fsync_dir(folder: Path) -> None:
-    """Have the folder's names on the disk: without it a power cut may take a rename back."""
+    """fsync a directory so that a rename or removal in it survives a power failure."""
     handle = os.open(folder, os.O_RDONLY)
     try:
         os.fsync(handle)
@@ -76,45 +78,45 @@ def fsync_dir(folder: Path) -> None:
 
 
 def remove(path: Path) -> None:
-    """Remove a file, for good; none is fine."""
+    """Remove a file durably, if it exists."""
     with name_write_errors(path):
         path.unlink(missing_ok=True)
         fsync_dir(path.parent)
 
 
 def remove_temporary_files(folder: Path) -> None:
-    """Remove the temporary files that a crash has left below a folder: what is in them never came to be."""
+    """Remove the temporary files that a crash during `atomic_write` left below a folder."""
     for file in folder.rglob(".*"):
         if re.fullmatch(r"\..+\.[a-z0-9_]{8}(\.\w+)?", file.name) and file.is_file():
             remove(file)
 
 
 def write_text(path: Path | str, text: str) -> None:
-    """Write `text` to `path`, whole or not at all."""
+    """Write `text` to `path` atomically."""
     with atomic_write(path) as temporary:
         temporary.write_text(text, encoding="utf-8")
 
 
 def write_json(path: Path | str, content: Any) -> None:
-    """Write `content` as indented JSON to `path`, whole or not at all."""
+    """Write `content` as indented JSON to `path` atomically."""
     write_text(path, json.dumps(content, indent=2, default=str) + "\n")
 
 
 def find_files(places: Iterable[Path | str], name: str) -> list[Path]:
-    """Every file of this name at or below the given files, folders or glob patterns, each once.
+    """Files of this name at or below the given files, folders or glob patterns, each once.
 
     Raises:
-        ValueError: a place under which there is none.
+        ValueError: there is none at or below one of the places; names the place.
     """
-    found: dict[Path, Path] = {}
+    paths: dict[Path, Path] = {}
     for place in places:
-        # a sweep's folder may have brackets or stars in its own name: what exists is taken literally
+        # an existing path is taken literally: a sweep's folder may have brackets or stars in its name
         matches = [place] if Path(place).exists() else sorted(glob.glob(str(place), recursive=True))
         files = [file for match in map(Path, matches) for file in ([match] if match.is_file() else match.rglob(name))]
         if not files:
             raise ValueError(f"runs = {place}: there is no {name} at or below it")
-        found |= {file.resolve(): file for file in sorted(files)}
-    return list(found.values())
+        paths |= {file.resolve(): file for file in sorted(files)}
+    return list(paths.values())
 
 
 def sha256(path: Path | str) -> str:
@@ -124,21 +126,27 @@ def sha256(path: Path | str) -> str:
 
 
 def save_tensors(path: Path | str, tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any] | None = None) -> None:
-    """Save named tensors as safetensors; `facts` (any JSON) travels in the header and says what they are.
+    """Write named tensors to a safetensors file.
 
-    So does a hash of both: safetensors has no checksum, and a bit that a disk has turned would be a weight.
+    The header holds `facts` (any JSON) and a SHA-256 of tensors and facts: the format itself has no checksum, and a
+    flipped bit would go unnoticed.
     """
+    from safetensors import SafetensorError
+    from safetensors.torch import save_file
+
     contiguous = {name: tensor.detach().cpu().contiguous() for name, tensor in tensors.items()}
-    said = dict(facts or {})
-    said = json.dumps(said | {HASH: _digest(contiguous, said)})  # one text: of two the library's order is random
+    content = dict(facts or {})
+    header = json.dumps(content | {HASH: _digest(contiguous, content)})  # a single entry: several have no fixed order
     with atomic_write(path) as temporary:
         try:
-            save_file(contiguous, temporary, metadata={"facts": said})
-        except SafetensorError as error:  # which an OSError is inside the library
+            save_file(contiguous, temporary, metadata={"facts": header})
+        except SafetensorError as error:  # how the library reports an OSError
             raise OSError(errno.EIO, str(error)) from error
 
 
 def _digest(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> str:
+    import torch
+
     digest = hashlib.sha256(json.dumps(facts, sort_keys=True).encode())
     for name, tensor in sorted(tensors.items()):
         digest.update(f"{name} {tensor.dtype} {tuple(tensor.shape)}".encode())
@@ -147,11 +155,13 @@ def _digest(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> st
 
 
 def load_tensors(path: Path | str) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Load what `save_tensors` wrote: the named tensors and the facts.
+    """Read what `save_tensors` wrote: the named tensors and the facts.
 
     Raises:
         ValueError: the file is missing, truncated, damaged or not in safetensors format.
     """
+    from safetensors import SafetensorError, safe_open
+
     path = Path(path)
     if not path.is_file():
         raise ValueError(f"no such file: {path}")

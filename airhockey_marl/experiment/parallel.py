@@ -1,50 +1,59 @@
-"""Compiled loops over rows on all cores.
+"""Parallel loops: compiled kernels over rows on all cores, and a Ray cluster for whole jobs.
 
-By threads that sleep while they wait: numba's own work queue spins, and takes from few cores what it gives.
+The kernels run on Python threads, which sleep while they wait. The threads of numba's own work queue spin, which costs
+more than it gains on few cores. numba and Ray are imported by the functions that use them.
 """
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numba import config
+if TYPE_CHECKING:
+    import numpy as np
 
-
-@cache
-def _pool() -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(config.NUMBA_NUM_THREADS, thread_name_prefix="rows")
+LOCAL_CLUSTER = "local"  # the address of a new cluster on this machine
 
 
 def parallel_for(kernel: Callable[..., None], rows: np.ndarray, *arguments: object, least: int) -> None:
-    """Call `kernel(some of the rows, *arguments)` until all rows (n,) have been done, each once.
+    """Call `kernel(chunk, *arguments)` in parallel over disjoint chunks of the row indices (n,).
 
     Args:
-        kernel: compiled with nogil=True; what it does for a row must not touch what it does for another.
-        least: rows that are worth a thread. The threads are as many as the cores, or NUMBA_NUM_THREADS.
+        kernel: compiled with nogil=True; its rows must be independent of each other.
+        least: the smallest chunk that is worth a thread. There are at most as many threads as cores
+            (NUMBA_NUM_THREADS).
     """
-    parts = min(config.NUMBA_NUM_THREADS, len(rows) // least)
-    if parts < 2:
+    import numba
+
+    threads = numba.config.NUMBA_NUM_THREADS
+    n_chunks = min(threads, len(rows) // least)
+    if n_chunks < 2:
         kernel(rows, *arguments)
         return
-    mine, *others = np.array_split(rows, parts)
-    waiting = [_pool().submit(kernel, part, *arguments) for part in others]
-    kernel(mine, *arguments)
-    for part in waiting:
-        part.result()
+    import numpy as np
+
+    first, *others = np.array_split(rows, n_chunks)
+    futures = [_pool(threads).submit(kernel, chunk, *arguments) for chunk in others]
+    kernel(first, *arguments)
+    for future in futures:
+        future.result()
 
 
-LOCAL_CLUSTER = "local"  # a cluster of this machine, for the purpose
+@cache
+def _pool(threads: int) -> ThreadPoolExecutor:
+    return ThreadPoolExecutor(threads, thread_name_prefix="rows")
 
 
 def join_ray_cluster(address: str, cores: int | None = None) -> None:
     """Join a Ray cluster, unless this process has joined one already.
 
     Args:
-        address: "local", "auto" or host:port.
-        cores: that a cluster started here has; all of this machine if None.
+        address: "local" to start one on this machine, "auto" or host:port.
+        cores: of a cluster that is started; all of this machine if None.
     """
-    import ray  # an extra
+    import ray  # an optional dependency
 
     if not ray.is_initialized():
         where = {"num_cpus": cores} if address == LOCAL_CLUSTER else {"address": address}
