@@ -14,9 +14,10 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.evaluation.comparison import LEAGUE, check_runs, compare, figure, read_run, screen_table
+from airhockey_marl.evaluation.comparison import LEAGUE, check_runs, compare, comparison_figure, read_run, screen_table
 from airhockey_marl.experiment.command import command, report_input_errors, require_counts
 from airhockey_marl.experiment.files import atomic_write, find_files
+from airhockey_marl.experiment.plotting import save_png
 
 
 @command("compare")
@@ -32,8 +33,7 @@ def main(cfg: DictConfig) -> None:
     results = compare(runs, cfg.rounds, cfg.seed)
     with atomic_write(folder / "comparison.csv") as path:
         results.to_csv(path, index=False)
-    with atomic_write(folder / "comparison.png") as path:
-        figure(results).savefig(path, dpi=150)
+    save_png(comparison_figure(results), folder / "comparison.png", dpi=150)
     print(screen_table(results))
     print(f"\n{folder / 'comparison.csv'}\n{folder / 'comparison.png'}")
 

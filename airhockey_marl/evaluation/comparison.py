@@ -8,31 +8,45 @@ generation 0; and the last generations of all runs play each other. All sample t
 comparison.csv, a row per match and side, and comparison.png into its run folder, and prints a table.
 """
 
+from __future__ import annotations
+
 import itertools
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pandas as pd
 import torch
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from omegaconf import OmegaConf
 from torch import nn
 
 from airhockey_marl.evaluation.matches import MatchResult, play_matches
 from airhockey_marl.experiment.command import ProgressBar
 from airhockey_marl.experiment.config import read_config
+from airhockey_marl.experiment.plotting import (
+    BLUE,
+    GRAY,
+    GREEN,
+    ORANGE,
+    PINK,
+    SKY,
+    YELLOW,
+    label_panel,
+    new_figure,
+)
 from airhockey_marl.league.league import League
 from airhockey_marl.players.players import stochastic
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 LEAGUE, CARD, CONFIG = "league.safetensors", "card.json", ".hydra/config.yaml"
 SCRIPTS, BEGINNING = ("defender", "striker"), "generation 0"
 COUNTS = list(MatchResult._fields)
 TABLES = 100  # side by side in a match, where it has as many rounds
-# Okabe and Ito's colors, which people with any kind of color vision can tell apart, and marks for those who print
-STYLES = (("#0072B2", "o"), ("#D55E00", "s"), ("#009E73", "^"), ("#CC79A7", "D"), ("#E69F00", "v"), ("#56B4E9", "P"))
+STYLES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PINK, "D"), (YELLOW, "v"), (SKY, "P"))  # color and marker
 
 
 @dataclass(frozen=True)
@@ -189,10 +203,12 @@ def _spread(values: pd.Series, digits: int) -> str:
     return f"{values.mean():.{digits}f}{spread}"
 
 
-def figure(results: pd.DataFrame) -> Figure:
-    """Win rates against the scripts and generation 0 over training: every seed thin, the mean of the seeds thick."""
-    drawing = Figure(figsize=(12, 4.2), layout="constrained")
-    panels = drawing.subplots(1, len(SCRIPTS) + 1, sharey=True)
+def comparison_figure(results: pd.DataFrame) -> Figure:
+    """Win rates against the scripts and generation 0 during training: thin lines are seeds, thick lines their mean."""
+    from matplotlib.lines import Line2D
+
+    figure = new_figure(12, 4.2)
+    panels = figure.subplots(1, len(SCRIPTS) + 1, sharey=True)
     algorithms, rates = sorted(results["algorithm"].unique()), win_rates(results)
     styles = dict(zip(algorithms, itertools.cycle(STYLES), strict=False))
     for axes, opponent in zip(panels, [*SCRIPTS, BEGINNING], strict=True):
@@ -202,19 +218,15 @@ def figure(results: pd.DataFrame) -> Figure:
                 axes.plot(seed["steps"] / 1e6, seed["win_rate"], color=color, linewidth=0.8, alpha=0.5)
             mean = own.groupby("steps")["win_rate"].mean()
             axes.plot(mean.index / 1e6, mean, color=color, linewidth=2.2, marker=mark, markersize=5)
-        axes.axhline(0.5, color="#8C8C8C", linewidth=0.8, linestyle=":")
-        axes.set_title(f"against {opponent}", fontsize=11, fontweight="bold")
-        axes.set_xlabel("steps of play in millions", fontsize=9, color="#444444")
+        axes.axhline(0.5, color=GRAY, linewidth=0.8, linestyle=":")
         axes.set_ylim(-0.02, 1.02)
-        axes.tick_params(labelsize=9)
-        axes.grid(axis="y", color="#E3E3E3", linewidth=0.8)
-        axes.spines[["top", "right"]].set_visible(False)
-    panels[0].set_ylabel("share of decided rounds won", fontsize=9, color="#444444")
+        label = "share of decided rounds won" if axes is panels[0] else ""
+        label_panel(axes, f"against {opponent}", "steps of play in millions", label)
     seeds = results.groupby("algorithm")["seed"].nunique()
     labels = [f"{name} ({seeds[name]} seed{'s'[: seeds[name] - 1]})" for name in algorithms]
     legend = [
         Line2D([], [], color=color, marker=mark, linewidth=2.2, label=label)
         for (color, mark), label in zip(styles.values(), labels, strict=True)
     ]
-    drawing.legend(handles=legend, loc="outside lower center", ncols=len(legend), frameon=False, fontsize=9)
-    return drawing
+    figure.legend(handles=legend, loc="outside lower center", ncols=len(legend), frameon=False, fontsize=9)
+    return figure

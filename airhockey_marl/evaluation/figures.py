@@ -1,16 +1,19 @@
-"""The figures of a league's report, and a film of a match."""
+"""Figures of the league report and of TensorBoard, and an animated match.
+
+matplotlib is imported where it draws: training imports this module and may show no pictures.
+"""
+
+from __future__ import annotations
 
 import io
 import itertools
 from collections.abc import Sequence
+from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
 import torch
-from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator, PercentFormatter
 from PIL import Image
 
 from airhockey_marl.envs.pettingzoo_env import AirHockey
@@ -20,37 +23,60 @@ from airhockey_marl.envs.world import SEATS
 from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.evaluation.policy_std import SITUATIONS
 from airhockey_marl.evaluation.ratings import Proportion, win_rates
+from airhockey_marl.experiment.plotting import (
+    BLUE,
+    GRAY,
+    GREEN,
+    INK,
+    LIGHT_GRAY,
+    ORANGE,
+    PINK,
+    SKY,
+    YELLOW,
+    new_figure,
+    percent,
+    style_axes,
+)
 from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.players import stochastic
 
-# Okabe and Ito's colors, which people with any kind of color vision can tell apart
-BLUE, ORANGE, GREEN, PINK, GRAY, INK = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#8C8C8C", "#222222"
-LINES = ("#E69F00", GREEN, PINK, ORANGE, "#56B4E9", GRAY)  # of those that a generation is measured against
-LOSS_TO_WIN = LinearSegmentedColormap.from_list("loss_to_win", ["#A84300", ORANGE, "#F7F7F7", BLUE, "#004B78"])
-NUMBERS_UP_TO, LABELS_UP_TO = 12, 26  # members, in the cells and along the sides of a payoff matrix
-GENERATIONS_UP_TO = 5  # of those that all were measured against
+if TYPE_CHECKING:
+    from matplotlib.colors import Colormap
+    from matplotlib.figure import Figure
+
+SCRIPT_COLORS = (YELLOW, GREEN, PINK, ORANGE, SKY, GRAY)
+MAX_NUMBERS, MAX_LABELS = 12, 26  # members of a payoff matrix that has numbers in its cells, labels along its sides
+MAX_PANELS = 5  # generations with a panel in `matches_figure`
 
 
-def named(member: PlayerId) -> str:
-    """How a member is called in running text."""
+def member_label(member: PlayerId) -> str:
+    """The name of a league member in running text."""
     return f"“{member}”" if isinstance(member, str) else f"generation {member}"
 
 
+@cache
+def loss_to_win() -> Colormap:
+    """Colors of win rates: orange loses, white is even, blue wins."""
+    from matplotlib.colors import LinearSegmentedColormap
+
+    return LinearSegmentedColormap.from_list("loss_to_win", ["#A84300", ORANGE, "#F7F7F7", BLUE, "#004B78"])
+
+
 def payoff_figure(members: Sequence[PlayerId], score: np.ndarray) -> Figure:
-    """The heat map of win rates, rows against columns; blue wins, orange loses, white is even.
+    """Heat map of win rates, rows against columns.
 
     Args:
         score: (k, k, 3), see `ratings.payoff`.
     """
     shares, k = win_rates(score), len(members)
     size = min(8.6, 3.6 + 0.32 * k)
-    figure = Figure(figsize=(size + 0.9, size), layout="constrained")
+    figure = new_figure(size + 0.9, size)
     axes = figure.subplots()
-    axes.set_facecolor("#E3E3E3")
-    image = axes.imshow(shares, cmap=LOSS_TO_WIN, vmin=0, vmax=1)
+    axes.set_facecolor(LIGHT_GRAY)
+    image = axes.imshow(shares, cmap=loss_to_win(), vmin=0, vmax=1)
     figure.colorbar(image, ax=axes, shrink=0.75, label="share of decided rounds that the row wins", ticks=[0, 0.5, 1])
     generations = sum(not isinstance(member, str) for member in members)
-    every = -(-generations // LABELS_UP_TO)
+    every = -(-generations // MAX_LABELS)
     shown = [*range(0, generations - every, max(every, 1)), *range(max(generations - 1, 0), k)]
     labels = [str(members[i]) for i in shown]
     axes.set_xticks(shown, labels, rotation=90 if any(len(label) > 3 for label in labels) else 0)
@@ -61,7 +87,7 @@ def payoff_figure(members: Sequence[PlayerId], score: np.ndarray) -> Figure:
     if 0 < generations < k:
         for line in (axes.axhline, axes.axvline):
             line(generations - 0.5, color=INK, linewidth=0.9)
-    if k <= NUMBERS_UP_TO:
+    if k <= MAX_NUMBERS:
         for row, column in np.argwhere(np.isfinite(shares)):
             share = shares[row, column]
             color = "white" if abs(share - 0.5) > 0.22 else INK
@@ -72,88 +98,96 @@ def payoff_figure(members: Sequence[PlayerId], score: np.ndarray) -> Figure:
 
 
 def rating_figure(ratings: pd.DataFrame, matches: pd.DataFrame | None = None) -> Figure:
-    """Ratings of the generations with their 95 % intervals, the anchors as lines across.
+    """Ratings of the generations with 95 % intervals, and of the scripted players as horizontal lines.
 
     Args:
         ratings: columns member, rating, low, high.
-        matches: the same from the matches kept during training, if there are any: a line of its own.
+        matches: the same columns from the matches played during training, drawn as a second line.
     """
-    figure = Figure(figsize=(9.2, 4.6), layout="constrained")
+    figure = new_figure(9.2, 4.6)
     axes = figure.subplots()
-    learned, scripted = _parted(ratings)
-    number = learned["member"].astype(int)
+    learned, scripted = _split_members(ratings)
+    generation = learned["member"].astype(int)
     if matches is not None:
-        kept, _ = _parted(matches)
+        kept, _ = _split_members(matches)
         style = {"color": GRAY, "linewidth": 1.1, "label": "from the matches kept during training"}
         axes.plot(kept["member"].astype(int), kept["rating"], **style)
-    axes.fill_between(number, learned["low"], learned["high"], color=BLUE, alpha=0.18, linewidth=0)
+    axes.fill_between(generation, learned["low"], learned["high"], color=BLUE, alpha=0.18, linewidth=0)
     axes.plot(
-        number, learned["rating"], color=BLUE, marker="o", markersize=4, linewidth=1.6, label="from the payoff matrix"
+        generation,
+        learned["rating"],
+        color=BLUE,
+        marker="o",
+        markersize=4,
+        linewidth=1.6,
+        label="from the payoff matrix",
     )
-    for row, color in zip(scripted.itertuples(), itertools.cycle(LINES), strict=False):
+    for row, color in zip(scripted.itertuples(), itertools.cycle(SCRIPT_COLORS), strict=False):
         axes.axhline(row.rating, color=color, linewidth=1.4, linestyle="--")
         axes.axhspan(row.low, row.high, color=color, alpha=0.12, linewidth=0)
         place = {"xycoords": ("axes fraction", "data"), "textcoords": "offset points"}
         axes.annotate(row.member, (1.0, row.rating), (5, 0), va="center", color=color, fontsize=9.5, **place)
     axes.set_xlabel("generation")
-    axes.set_ylabel(f"Elo points above {named(ratings['member'].iloc[0])}")
+    axes.set_ylabel(f"Elo points above {member_label(ratings['member'].iloc[0])}")
     if matches is not None:
         figure.legend(frameon=False, fontsize=9, loc="outside upper left", ncols=2)
-    _plain(axes)
+    style_axes(axes)
     return figure
 
 
 def matches_figure(matches: pd.DataFrame, window: int = 5) -> Figure:
-    """The win rate of each generation against anchors and some before it, when it was new: raw and smoothed.
+    """Win rate of each generation, when it was the newest, against scripts and earlier generations: raw and smoothed.
 
     Args:
         matches: see `ratings.MATCHES`.
-        window: generations that the running share of decided rounds spans.
+        window: generations over which the line is smoothed.
     """
     generations = sorted({m for m in matches["opponent"] if not isinstance(m, str)})
-    few = np.linspace(0, len(generations) - 1, min(GENERATIONS_UP_TO, len(generations))).round().astype(int)
+    few = np.linspace(0, len(generations) - 1, min(MAX_PANELS, len(generations))).round().astype(int)
     opponents = [*(generations[i] for i in few), *sorted({m for m in matches["opponent"] if isinstance(m, str)})]
     columns = min(4, len(opponents))
     rows = -(-len(opponents) // columns)
-    figure = Figure(figsize=(9.2, 0.6 + 2.0 * rows), layout="constrained")
+    figure = new_figure(9.2, 0.6 + 2.0 * rows)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     for axes, opponent in zip(panels.flat, opponents, strict=False):
-        met = matches[matches["opponent"] == opponent].groupby("generation")[["won", "lost"]].sum()
-        smooth = met.rolling(window, center=True, min_periods=1).sum()
-        raw, running = (sums["won"] / (sums["won"] + sums["lost"]) for sums in (met, smooth))
+        rounds = matches[matches["opponent"] == opponent].groupby("generation")[["won", "lost"]].sum()
+        smooth = rounds.rolling(window, center=True, min_periods=1).sum()
+        raw, running = (sums["won"] / (sums["won"] + sums["lost"]) for sums in (rounds, smooth))
         axes.axhline(0.5, color=GRAY, linewidth=0.8)
         axes.plot(raw.index, raw, color=BLUE, marker="o", markersize=2.2, linewidth=0, alpha=0.45)
         axes.plot(running.index, running, color=BLUE, linewidth=1.8)
-        axes.set_title(f"against {named(opponent)}", fontsize=10)
+        axes.set_title(f"against {member_label(opponent)}", fontsize=10)
         axes.set_ylim(-0.02, 1.02)
-        axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
-        _plain(axes)
+        axes.yaxis.set_major_formatter(percent())
+        style_axes(axes)
     for place, axes in enumerate(panels.flat):
         axes.set_visible(place < len(opponents))
-        axes.tick_params(labelbottom=place + columns >= len(opponents))  # the lowest of its column
+        axes.tick_params(labelbottom=place + columns >= len(opponents))  # the lowest panel of its column
     figure.supxlabel("generation", fontsize=10)
     figure.supylabel("decided rounds won", fontsize=10)
     return figure
 
 
 def win_rates_figure(matches: pd.DataFrame) -> Figure:
-    """The heat map of who won what when it was new: a column per generation, a row per opponent; blue wins.
+    """Heat map of win rates: a column per generation, when it was the newest, and a row per opponent.
 
     Args:
         matches: see `ratings.MATCHES`.
     """
+    from matplotlib.ticker import MaxNLocator
+
     scripts = [member for member in dict.fromkeys(matches["opponent"]) if isinstance(member, str)]
     opponents = [*sorted(set(matches["opponent"]) - set(scripts)), *scripts]
     first, last, k = matches["generation"].min(), matches["generation"].max(), len(opponents)
-    shares = np.full((k, last - first + 1), np.nan)  # not a number: not played, or none decided
+    shares = np.full((k, last - first + 1), np.nan)  # NaN: not played, or no round decided
     for row in matches[matches["won"] + matches["lost"] > 0].itertuples():
         shares[opponents.index(row.opponent), row.generation - first] = row.won / (row.won + row.lost)
-    figure = Figure(figsize=(4.6, 1.2 + 0.2 * k), layout="constrained")  # small: a card of TensorBoard is 350 px wide
+    figure = new_figure(4.6, 1.2 + 0.2 * k)  # small: a card of TensorBoard is 350 px wide
     axes = figure.subplots()
-    axes.set_facecolor("#E3E3E3")
+    axes.set_facecolor(LIGHT_GRAY)
     ends = (first - 0.5, last + 0.5, k - 0.5, -0.5)
-    image = axes.imshow(shares, cmap=LOSS_TO_WIN, vmin=0, vmax=1, extent=ends, aspect="auto", interpolation="nearest")
-    scale = {"ticks": [0, 0.5, 1], "format": PercentFormatter(1, symbol=" %")}
+    image = axes.imshow(shares, cmap=loss_to_win(), vmin=0, vmax=1, extent=ends, aspect="auto", interpolation="nearest")
+    scale = {"ticks": [0, 0.5, 1], "format": percent()}
     figure.colorbar(image, ax=axes, label="decided rounds won", **scale)
     axes.set_yticks(range(k), map(str, opponents), fontsize=9)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -166,17 +200,19 @@ def win_rates_figure(matches: pd.DataFrame) -> Figure:
 
 
 def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndarray], table: TableSpec) -> Figure:
-    """The mean STD in each situation with its interval, and over the puck's place.
+    """Mean STD of the actions in each situation with its interval, and as maps over the position of the puck.
 
     Args:
-        table_of_std: see `precision.precision`.
-        maps: see `precision.std_map`, for a puck that comes and for one that goes.
+        table_of_std: see `policy_std.std_by_situation`.
+        maps: see `policy_std.std_map`, of an approaching puck and of one that departs or rests.
     """
-    figure = Figure(figsize=(11.6, 3.1), layout="constrained")
+    from matplotlib.ticker import FuncFormatter
+
+    figure = new_figure(11.6, 3.1)
     left, *rest = figure.subplots(1, 3, width_ratios=[1.35, 1.7, 1.7])
     rows = table_of_std.set_index("situation").loc[list(SITUATIONS)]
     places = np.arange(len(rows))
-    left.bar(places, rows["std"], width=0.68, color=[BLUE, GREEN, "#E69F00", GRAY])
+    left.bar(places, rows["std"], width=0.68, color=[BLUE, GREEN, YELLOW, GRAY])
     known = rows["std"].notna().to_numpy()
     ends = np.abs(rows[["low", "high"]].sub(rows["std"], axis=0).to_numpy().T)
     whiskers = {"fmt": "none", "ecolor": INK, "elinewidth": 1.1, "capsize": 4}
@@ -184,12 +220,12 @@ def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndar
     left.set_xticks(places, [name.replace(" a ", " a\n").replace("far ", "far\n") for name in SITUATIONS], fontsize=9)
     left.set_ylabel("mean STD, action units")
     left.set_ylim(bottom=0)
-    _plain(left)
+    style_axes(left)
     finite = np.concatenate([values[np.isfinite(values)] for values in maps])
     scale = {"vmin": finite.min(), "vmax": finite.max()} if finite.size else {"vmin": 0, "vmax": 1}
     extent = (-table.length / 2, table.length / 2, -table.width / 2, table.width / 2)
     for axes, values, title in zip(rest, maps, ("puck coming", "puck going or at rest"), strict=True):
-        axes.set_facecolor("#E3E3E3")
+        axes.set_facecolor(LIGHT_GRAY)
         image = axes.imshow(values, origin="lower", extent=extent, cmap="viridis", **scale)
         axes.axvline(0, color="white", linewidth=0.8)
         axes.plot([extent[0]] * 2, [-table.goal / 2, table.goal / 2], color=ORANGE, linewidth=6, clip_on=False)
@@ -203,27 +239,23 @@ def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndar
 
 
 def best_response_figure(results: Sequence[tuple[int, Proportion]]) -> Figure:
-    """What a best response wins against the last generation, after so many steps of learning."""
+    """Win rate of a best response against the last generation, over its steps of training."""
+    from matplotlib.ticker import FuncFormatter
+
     steps, shares = zip(*results, strict=True)
     value, low, high, _ = zip(*shares, strict=True)
-    figure = Figure(figsize=(6.4, 3.2), layout="constrained")
+    figure = new_figure(6.4, 3.2)
     axes = figure.subplots()
     axes.axhline(0.5, color=GRAY, linewidth=0.8)
     axes.fill_between(steps, low, high, color=ORANGE, alpha=0.2, linewidth=0)
     axes.plot(steps, value, color=ORANGE, marker="o", markersize=4, linewidth=1.6)
     axes.set_ylim(-0.02, 1.02)
-    axes.yaxis.set_major_formatter(PercentFormatter(1, symbol=" %"))
+    axes.yaxis.set_major_formatter(percent())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: f"{steps / 1e6:g} M"))
     axes.set_xlabel("steps that the best response has learned")
     axes.set_ylabel("decided rounds it wins")
-    _plain(axes)
+    style_axes(axes)
     return figure
-
-
-def png(figure: Figure, dpi: int = 150) -> bytes:
-    """A figure as PNG; the same one gives the same bytes."""
-    figure.savefig(content := io.BytesIO(), dpi=dpi, metadata={"Software": None})
-    return content.getvalue()
 
 
 @torch.no_grad()
@@ -235,38 +267,32 @@ def film(
     width: int = 320,
     frame_skip: int = FRAME_SKIP,
 ) -> bytes:
-    """An animated GIF of a match between two members, left and right: round after round, a picture per decision.
+    """An animated GIF of a match between two members, left and right, with a frame per decision.
 
-    Both sample, as in training, with random numbers of their own that follow from the seed.
+    Both sample their actions, as in training, from generators that are seeded with `seed` and `seed + 1`.
     """
     left, right = (
         stochastic(league.lineup([member]), torch.Generator().manual_seed(seed + seat))
         for seat, member in enumerate(members)
     )
     game = AirHockey(frame_skip=frame_skip)
-    seen, _ = game.reset(seed)
-    between = frame_skip * game.tables.table.tick
+    observations, _ = game.reset(seed)
+    frame_time = frame_skip * game.tables.table.tick
     players, pictures, palette = dict(zip(SEATS, (left, right), strict=True)), [], None
-    for _ in range(max(1, round(seconds / between))):
+    for _ in range(max(1, round(seconds / frame_time))):
         picture = Image.fromarray(draw_table(game.tables.bodies[0], game.tables.table, width))
-        palette = palette or picture.quantize(32)  # one for all pictures: they flicker otherwise
+        palette = palette or picture.quantize(32)  # the same for all frames, which would flicker otherwise
         pictures.append(picture.quantize(palette=palette, dither=Image.Dither.NONE))
         if not game.agents:
-            seen, _ = game.reset()
-        seen, *_ = game.step({s: player(torch.from_numpy(seen[s])[None])[0].numpy() for s, player in players.items()})
+            observations, _ = game.reset()
+        actions = {s: player(torch.from_numpy(observations[s])[None])[0].numpy() for s, player in players.items()}
+        observations, *_ = game.step(actions)
     gif = io.BytesIO()
-    pictures[0].save(gif, "GIF", save_all=True, append_images=pictures[1:], duration=round(1000 * between), loop=0)
+    pictures[0].save(gif, "GIF", save_all=True, append_images=pictures[1:], duration=round(1000 * frame_time), loop=0)
     return gif.getvalue()
 
 
-def _parted(ratings: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
-    """The generations, and the anchors."""
+def _split_members(ratings: pd.DataFrame) -> tuple[pd.DataFrame, pd.DataFrame]:
+    """The rows of the generations, and those of the scripted players."""
     scripted = ratings["member"].map(lambda member: isinstance(member, str)).astype(bool)
     return ratings[~scripted], ratings[scripted]
-
-
-def _plain(axes: Axes) -> None:
-    axes.grid(axis="y", color="#E3E3E3", linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    axes.tick_params(labelsize=9)

@@ -29,6 +29,7 @@ from airhockey_marl.evaluation.policy_std import FAR, SAVE_SECONDS, STRIKE_SECON
 from airhockey_marl.evaluation.ratings import Proportion, RatingDifference
 from airhockey_marl.experiment.files import atomic_write, write_json, write_text
 from airhockey_marl.experiment.html import number, template
+from airhockey_marl.experiment.plotting import png_bytes
 from airhockey_marl.experiment.tensorboard import add_picture
 from airhockey_marl.league.league import League
 
@@ -87,7 +88,7 @@ def draw(found: LeagueMetrics, matches: pd.DataFrame | None) -> dict[str, bytes]
         drawn["matches.png"] = figures.matches_figure(matches)
     if found.best_response:
         drawn["best_response.png"] = figures.best_response_figure(found.best_response)
-    return {name: figures.png(figure) for name, figure in drawn.items()}
+    return {name: png_bytes(figure) for name, figure in drawn.items()}
 
 
 def log_to_tensorboard(writer: SummaryWriter, folder: Path | str, found: LeagueMetrics, step: int) -> None:
@@ -133,7 +134,7 @@ def summary(found: LeagueMetrics) -> list[Line]:
     """What a league must show, in a few lines."""
     lines = [
         Line(
-            f"The last generation ({found.last}) beats {figures.named(member)}",
+            f"The last generation ({found.last}) beats {figures.member_label(member)}",
             f"wins {_share(share)} of {share.trials} decided rounds",
             outcome(share.low, share.high, 0.5),
         )
@@ -189,7 +190,7 @@ def page(
         points=_points,
         against_far=_against_far,
         p=_p,
-        named=figures.named,
+        label=figures.member_label,
     ).render(
         found=found,
         last=RatingDifference(*rated.loc[found.last]),

@@ -21,6 +21,7 @@ from airhockey_marl.experiment.command import (
     report_input_errors,
 )
 from airhockey_marl.experiment.files import name_write_errors, write_text
+from airhockey_marl.experiment.plotting import png_bytes
 from airhockey_marl.experiment.tensorboard import add_picture, log_run_header, open_writer, tensorboard_dir
 from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.league.opponent_pool import OpponentPool
@@ -126,7 +127,7 @@ def log_pictures(
     """
     seats, how = (len(league) - 1, STRONGEST_SCRIPT), {"frame_skip": frame_skip, "width": FILM_WIDTH}
     add_picture(board, "league/film", figures.film(league, seats, seed, FILM_SECONDS, **how), step)
-    add_picture(board, "league/win_rates", figures.png(figures.win_rates_figure(pd.DataFrame(matches)), 100), step)
+    add_picture(board, "league/win_rates", png_bytes(figures.win_rates_figure(pd.DataFrame(matches)), 100), step)
 
 
 def reference_opponents(generation: int, every: int) -> list[PlayerId]:

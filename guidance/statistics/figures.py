@@ -1,48 +1,43 @@
-"""Figures of studies: the paper's Figure 6, and which of its findings hold over many of them."""
+"""Figures of studies: the paper's Figure 6, two groups side by side, and the robustness of findings over studies."""
 
-import io
-from collections.abc import Callable, Collection, Mapping
-from pathlib import Path
+from __future__ import annotations
 
-import matplotlib
+from collections.abc import Collection, Mapping
+from typing import TYPE_CHECKING
+
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
-from scipy import stats
 
-from airhockey_marl.experiment.files import atomic_write
+from airhockey_marl.experiment.plotting import (
+    BLUE,
+    GRAY,
+    GREEN,
+    INK,
+    LIGHT_GRAY,
+    PINK,
+    YELLOW,
+    despine,
+    label_panel,
+    new_figure,
+)
 from guidance.statistics.paper import EVIDENCE
 from guidance.statistics.tests import BEYOND, METRICS, Condition, Metric, conditions_of
 
-# Okabe and Ito's colors, which people with any kind of color vision can tell apart
-COLORS = {"NHG": "#8C8C8C", "OAHG": "#E69F00", "UPHG": "#0072B2", "CombHG": "#009E73", BEYOND: "#CC79A7"}
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLORS = {"NHG": GRAY, "OAHG": YELLOW, "UPHG": BLUE, "CombHG": GREEN, BEYOND: PINK}  # by type of guidance
 SCALE = (1, 7)  # of the ratings
-SIDES = (("#0072B2", "o", -0.16), ("#E69F00", "D", 0.16))  # color, marker and shift of two groups side by side
-
-
-def save_figure(draw: Callable[[], Figure], folder: Path, name: str, dpi: int) -> bytes:
-    """Draw a figure and write it as `name`.png and .svg, each whole; the same drawing gives the same bytes.
-
-    Returns:
-        The svg.
-    """
-    # no date and a fixed salt
-    with matplotlib.rc_context({"svg.hashsalt": name, "font.family": "DejaVu Sans"}):
-        figure, svg = draw(), io.BytesIO()
-        with atomic_write(folder / f"{name}.png") as path:
-            figure.savefig(path, dpi=dpi)
-        figure.savefig(svg, format="svg", metadata={"Date": None})
-    with atomic_write(folder / f"{name}.svg") as path:
-        path.write_bytes(svg.getvalue())
-    return svg.getvalue()
+SIDES = ((BLUE, "o", -0.16), (YELLOW, "D", 0.16))  # color, marker and shift of two groups side by side
 
 
 def confidence_half_width(scores: pd.DataFrame) -> pd.Series:
     """Half the width of the 95 % confidence interval of each column's mean, by Student's t; NaN below two values."""
+    from scipy.stats import t
+
     n = scores.count()
-    return scores.sem() * stats.t.isf(0.025, (n - 1).where(n > 1))
+    return scores.sem() * t.isf(0.025, (n - 1).where(n > 1))
 
 
 def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = (), people: bool = False) -> Figure:
@@ -50,16 +45,18 @@ def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = (), people: bool 
 
     Args:
         trials: one row per participant and condition; any subset of the nine conditions, and others.
-        withdrawn: metrics that count for nothing; their panels say so.
-        people: the ratings are people's; without it their panels say that they are proxies.
+        withdrawn: metrics whose panels are marked as withdrawn.
+        people: the ratings are of people; otherwise their panels are marked as proxies.
 
     Returns:
-        Eight panels, the objective metrics above, the ratings or their proxies below; a bar per condition present in
-        the color of its guidance type, with the mean's 95 % confidence interval. A metric that is undefined in a
-        condition, as disagreement is without guidance, has a dash in place of its bar.
+        Eight panels, objective metrics above, ratings or their proxies below; a bar per condition in the color of its
+        guidance type, with the 95 % confidence interval of the mean. A dash stands for a metric that is undefined in
+        a condition, as disagreement is without guidance.
     """
+    from matplotlib.patches import Patch
+
     present = conditions_of(trials)
-    figure = Figure(figsize=(13.5, 6.6), layout="constrained")
+    figure = new_figure(13.5, 6.6)
     panels = figure.subplots(2, 4).flat
     for axes, (name, metric) in zip(panels, METRICS.items(), strict=True):
         _draw_bars(
@@ -86,34 +83,29 @@ def _draw_bars(
     places = np.arange(len(conditions))
     mean, half = scores.mean().to_numpy(), confidence_half_width(scores).to_numpy()
     axes.bar(places, mean, width=0.72, color=[COLORS[condition.guidance] for condition in conditions])
-    drawn = np.isfinite(half)
-    axes.errorbar(places[drawn], mean[drawn], half[drawn], fmt="none", ecolor="#222222", elinewidth=1.1, capsize=3)
+    known = np.isfinite(half)
+    axes.errorbar(places[known], mean[known], half[known], fmt="none", ecolor=INK, elinewidth=1.1, capsize=3)
     rating = metric.kind == "subjective"
     proxy = rating and not people
     if rating:
         axes.set_ylim(*SCALE)
     elif people:
-        _within_reason(axes, metric)
+        _clip_scale(axes, metric)
     if not rating and np.isnan(mean).all():
-        axes.set_yticks([])  # a scale without values would be made up
+        axes.set_yticks([])  # no values, no scale
     for place in places[np.isnan(mean)]:
         axes.annotate("–", (place, 0.03), xycoords=("data", "axes fraction"), ha="center", fontsize=13, color="#666666")
     mark = " (PROXY, withdrawn)" if withdrawn else " (PROXY)" if proxy else ""
-    axes.set_title(metric.label + mark, fontsize=11, fontweight="bold")
     unit = "proxy of the 7-point rating" if proxy else "7-point rating" if rating else metric.unit
-    axes.set_ylabel(unit, fontsize=9, color="#444444")
+    label_panel(axes, metric.label + mark, y=unit)
     axes.set_xticks(places, [f"({condition.letter})" for condition in conditions])
-    middle, half_span = (len(conditions) - 1) / 2, max(len(conditions), 5) / 2  # a lone bar is no wall
+    middle, half_span = (len(conditions) - 1) / 2, max(len(conditions), 5) / 2  # a few bars do not fill the panel
     axes.set_xlim(middle - half_span - 0.1, middle + half_span + 0.1)
-    axes.tick_params(labelsize=9)
     axes.tick_params(axis="x", length=0)
-    axes.grid(axis="y", color="#E3E3E3", linewidth=0.8)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
 
 
-def _within_reason(axes: Axes, metric: Metric) -> None:
-    """Cut the scale off where the metric cannot be: of two or three people, intervals go there and hide the means."""
+def _clip_scale(axes: Axes, metric: Metric) -> None:
+    """Clip the scale to possible values of the metric: the intervals of two or three people extend far beyond."""
     low, high = axes.get_ylim()
     axes.set_ylim(max(low, 0.0), min(high, 1.02) if metric.unit.startswith("share") else high)
 
@@ -123,38 +115,35 @@ def means_beside(trials: Mapping[str, pd.DataFrame], people: Collection[str]) ->
 
     Args:
         trials: of each group by its name, as `figure6` takes them.
-        people: the groups of people; the ratings of others are marked as proxies.
+        people: names of the groups of people; the ratings of other groups are marked as proxies.
 
     Returns:
         Eight panels, one per metric, with each group's mean under each condition and its 95 % confidence interval.
     """
     conditions = conditions_of(pd.concat([group[["condition"]] for group in trials.values()]))
-    figure = Figure(figsize=(13.5, 6.2), layout="constrained")
+    figure = new_figure(13.5, 6.2)
     panels = list(figure.subplots(2, 4).flat)
     proxies = [name for name in trials if name not in people]
-    asked = {0: "7-point rating", len(trials): "PROXY of the 7-point rating"}.get(
+    rating_label = {0: "7-point rating", len(trials): "PROXY of the 7-point rating"}.get(
         len(proxies), f"7-point rating\n(PROXY of {', '.join(proxies)})"
     )
-    for axes, (metric, about) in zip(panels, METRICS.items(), strict=True):
-        for (name, group), (color, marker, shift) in zip(trials.items(), SIDES, strict=True):
-            scores = group.pivot(index="user", columns="condition", values=metric).reindex(columns=list(conditions))
+    for axes, (name, metric) in zip(panels, METRICS.items(), strict=True):
+        for (group, group_trials), (color, marker, shift) in zip(trials.items(), SIDES, strict=True):
+            scores = group_trials.pivot(index="user", columns="condition", values=name)
+            scores = scores.reindex(columns=list(conditions))
             mean, half = scores.mean().to_numpy(float), confidence_half_width(scores).to_numpy(float)
-            places, drawn = np.arange(len(conditions)) + shift, np.isfinite(half)
-            axes.plot(places, mean, marker, color=color, markersize=5.5, label=f"{name} (n = {len(scores)})")
-            axes.errorbar(places[drawn], mean[drawn], half[drawn], fmt="none", ecolor=color, elinewidth=1.2, capsize=2)
-        rating = about.kind == "subjective"
+            places, known = np.arange(len(conditions)) + shift, np.isfinite(half)
+            axes.plot(places, mean, marker, color=color, markersize=5.5, label=f"{group} (n = {len(scores)})")
+            axes.errorbar(places[known], mean[known], half[known], fmt="none", ecolor=color, elinewidth=1.2, capsize=2)
+        rating = metric.kind == "subjective"
         if rating:
             axes.set_ylim(SCALE[0] - 0.2, SCALE[1] + 0.2)
         else:
-            _within_reason(axes, about)
-        axes.set_title(about.label, fontsize=11, fontweight="bold")
-        axes.set_ylabel(asked if rating else about.unit, fontsize=8 if rating else 9, color="#444444")
+            _clip_scale(axes, metric)
+        label_panel(axes, metric.label, y=rating_label if rating else metric.unit)
+        axes.yaxis.label.set_fontsize(8 if rating else 9)
         axes.set_xticks(range(len(conditions)), [f"({condition.letter})" for condition in conditions.values()])
         axes.set_xlim(-0.6, len(conditions) - 0.4)
-        axes.tick_params(labelsize=9)
-        axes.grid(axis="y", color="#E3E3E3", linewidth=0.8)
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
     figure.legend(
         *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9
     )
@@ -162,15 +151,15 @@ def means_beside(trials: Mapping[str, pd.DataFrame], people: Collection[str]) ->
 
 
 def robustness_map(findings: pd.DataFrame) -> Figure:
-    """Draw which findings hold over which studies.
+    """Draw how many studies replicate each finding of the paper.
 
     Args:
         findings: as `robustness.findings_over` returns them.
 
     Returns:
-        A row per finding, grouped by evidence class. Left a cell per group of studies, the share of them that
-        replicates it in per cent, with the share that reverses it in red where it is 5 % or more; right, the effect
-        size in the paper's direction, 5 to 95 % of the studies of the first group, beside the paper's (a diamond).
+        A row per finding, grouped by evidence class. Left, a cell per group of studies: the share that replicates the
+        finding in per cent, and in red the share that reverses it if that is at least 5 %. Right, the effect size in
+        the direction of the paper: 5 to 95 % of the studies of the first group, and that of the paper (a diamond).
     """
     groups = list(findings["group"].unique())
     first = findings[findings["group"] == groups[0]]
@@ -181,7 +170,7 @@ def robustness_map(findings: pd.DataFrame) -> Figure:
         findings.pivot(index="id", columns="group", values=name).loc[pairs, groups].to_numpy()
         for name in ("replicated", "reversed", "withdrawn")
     )
-    figure = Figure(figsize=(11, 0.27 * len(pairs) + 1.6), layout="constrained")
+    figure = new_figure(11, 0.27 * len(pairs) + 1.6)
     cells, effects = figure.subplots(1, 2, sharey=True, width_ratios=(1 + 0.35 * len(groups), 2.4))
     cells.imshow(np.ma.masked_where(withdrawn == 1, shares), cmap="Blues", vmin=0, vmax=1.25, aspect="auto")
     for row, column in np.ndindex(shares.shape):
@@ -190,7 +179,7 @@ def robustness_map(findings: pd.DataFrame) -> Figure:
             continue
         dark, center = shares[row, column] > 0.7, {"va": "center", "ha": "center"}
         text = f"{100 * shares[row, column]:.0f}"
-        cells.text(column, row, text, fontsize=7.5, color="white" if dark else "#222222", **center)
+        cells.text(column, row, text, fontsize=7.5, color="white" if dark else INK, **center)
         if reversed_[row, column] >= 0.05:
             text, color = f"{100 * reversed_[row, column]:.0f}", "#ffb3a0" if dark else "#c0392b"
             cells.text(column + 0.36, row, text, fontsize=6.5, color=color, fontweight="bold", **center)
@@ -205,14 +194,14 @@ def robustness_map(findings: pd.DataFrame) -> Figure:
     cells.set_title("% of studies that replicate it (reverse it)", fontsize=9, pad=18)
     places = np.arange(len(pairs))
     effects.axvline(0, color="#888888", linewidth=0.8)
-    effects.hlines(places, first["low"], first["high"], color="#0072B2", linewidth=2.2, alpha=0.55)
-    effects.plot(first["median"], places, "o", color="#0072B2", markersize=4)
-    effects.plot(first["dz_paper"], places, "D", color="#E69F00", markersize=4)
+    effects.hlines(places, first["low"], first["high"], color=BLUE, linewidth=2.2, alpha=0.55)
+    effects.plot(first["median"], places, "o", color=BLUE, markersize=4)
+    effects.plot(first["dz_paper"], places, "D", color=YELLOW, markersize=4)
     effects.set_xlabel("$d_z$ toward the paper: studies (blue), paper, at least (orange)", fontsize=8)
     effects.tick_params(axis="x", labelsize=8)
-    effects.grid(axis="x", color="#E3E3E3", linewidth=0.8)
-    effects.spines[["top", "right"]].set_visible(False)
+    effects.grid(axis="x", color=LIGHT_GRAY, linewidth=0.8)
+    despine(effects)
     for boundary in np.flatnonzero(np.diff(first["evidence"].map(order))) + 0.5:
         for axes in (cells, effects):
-            axes.axhline(boundary, color="#222222", linewidth=0.8)
+            axes.axhline(boundary, color=INK, linewidth=0.8)
     return figure

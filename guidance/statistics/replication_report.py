@@ -8,7 +8,8 @@ from omegaconf import DictConfig
 
 from airhockey_marl.experiment.files import atomic_write, write_text
 from airhockey_marl.experiment.html import template
-from guidance.statistics.figures import robustness_map, save_figure
+from airhockey_marl.experiment.plotting import save_figure
+from guidance.statistics.figures import robustness_map
 from guidance.statistics.paper import EVIDENCE, reference_points
 from guidance.statistics.robustness import findings_over, leans_on, outcomes_of, scores_of, spread, ua_over, wrong_over
 from guidance.statistics.tests import METRICS

@@ -16,7 +16,8 @@ import pandas as pd
 
 from airhockey_marl.experiment.files import atomic_write, find_files, sha256, write_text
 from airhockey_marl.experiment.html import template
-from guidance.statistics.figures import figure6, means_beside, save_figure
+from airhockey_marl.experiment.plotting import save_figure
+from guidance.statistics.figures import figure6, means_beside
 from guidance.statistics.groups import UNTESTED, Group, names_of, of_people, side_by_side
 from guidance.statistics.paper import EVIDENCE, EVIDENCE_OF_PEOPLE, count_findings, published_results, reference_points
 from guidance.statistics.research_questions import QUESTIONS, answer_questions

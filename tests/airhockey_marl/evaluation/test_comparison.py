@@ -139,7 +139,7 @@ def test_figure_has_every_seed_and_the_mean_of_each_algorithm():
             for opponent in opponents
         ]
     )
-    panels = compare.figure(results).axes
+    panels = compare.comparison_figure(results).axes
     assert [axes.get_title() for axes in panels] == [f"against {opponent}" for opponent in opponents]
     lines = [line for line in panels[0].lines if len(line.get_xdata()) == 2 and line.get_linestyle() == "-"]
     assert len(lines) == 2 * (3 + 1) and len({line.get_color() for line in lines}) == 2
