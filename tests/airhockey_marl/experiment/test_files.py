@@ -1,4 +1,4 @@
-"""Files are whole or absent; weights need no pickle."""
+"""Atomic writes, and tensor files that are read without pickle."""
 
 import pickle
 
@@ -8,7 +8,7 @@ import torch
 from airhockey_marl.experiment.files import atomic_write, load_tensors, save_tensors, write_text
 
 
-def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
+def test_a_failed_write_keeps_the_old_file_and_leaves_no_other(tmp_path):
     path = tmp_path / "trials.csv"
     write_text(path, "old")
     with pytest.raises(RuntimeError, match="disk"), atomic_write(path) as temporary:
@@ -18,7 +18,7 @@ def test_a_failed_write_leaves_the_old_file_and_nothing_else(tmp_path):
     assert list(tmp_path.iterdir()) == [path]
 
 
-def test_tensors_and_facts_come_back(tmp_path):
+def test_tensors_and_facts_are_restored(tmp_path):
     tensors = {"a": torch.randn(3, 4), "b": torch.arange(6).view(2, 3).T}
     save_tensors(tmp_path / "x.safetensors", tensors, {"hidden": [64, 64]})
     loaded, facts = load_tensors(tmp_path / "x.safetensors")
@@ -26,7 +26,7 @@ def test_tensors_and_facts_come_back(tmp_path):
     assert all(torch.equal(loaded[name], tensor) for name, tensor in tensors.items())
 
 
-def test_what_is_no_safetensors_file_is_refused_unread(tmp_path):
+def test_files_of_other_formats_are_rejected_without_unpickling(tmp_path):
     class Trap:
         def __reduce__(self):
             return (pytest.fail, ("the pickle was loaded",))
