@@ -13,10 +13,9 @@ from pathlib import Path
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from torch.utils.tensorboard import SummaryWriter
 
 from airhockey_marl.evaluation.league_metrics import EvaluationBudget, check
-from airhockey_marl.evaluation.league_report import log_to_tensorboard, summary, write_report
+from airhockey_marl.evaluation.league_report import LAYOUT, TAGS, log_to_tensorboard, summary, write_report
 from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.evaluation.ratings import read_matches
 from airhockey_marl.experiment.command import (
@@ -27,7 +26,7 @@ from airhockey_marl.experiment.command import (
     require_counts,
     require_numbers,
 )
-from airhockey_marl.experiment.tensorboard import log_run_header, tensorboard_dir
+from airhockey_marl.experiment.tensorboard import log_run_header, open_writer, tensorboard_dir
 from airhockey_marl.league.league import League
 from airhockey_marl.self_play.best_response import best_response
 
@@ -56,8 +55,8 @@ def main(cfg: DictConfig) -> None:
         responses = best_response(training, league, len(league) - 1, *how_long, cfg.seed, progress)
     found = write_report(folder, league, matches, card, effort, cfg.seed, responses, ticks, progress)
     progress.close()
-    with SummaryWriter(str(tensorboard_dir(folder))) as writer:
-        log_run_header(writer, cfg)
+    with open_writer(tensorboard_dir(folder)) as writer:
+        log_run_header(writer, cfg, TAGS, LAYOUT)
         log_to_tensorboard(writer, folder, found, card.get("steps", found.last))
     for line in summary(found):
         print(f"{line.outcome:>4}  {line.question}: {line.observed}")

@@ -3,15 +3,16 @@
 `write_report` has a league measured, and writes. What the page says follows from the numbers, whichever way they fall.
 """
 
+from __future__ import annotations
+
 import base64
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import pandas as pd
-from torch.utils.tensorboard import SummaryWriter
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.evaluation import figures
@@ -32,6 +33,23 @@ from airhockey_marl.experiment.html import number, template
 from airhockey_marl.experiment.plotting import png_bytes
 from airhockey_marl.experiment.tensorboard import add_picture
 from airhockey_marl.league.league import League
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
+
+TAGS = {  # x is the number of steps of play
+    "rating/*": "Elo points above generation 0, of the generations of the payoff matrix and of the scripts",
+    "save_rate/*": "share of the striker's shots that are saved, by the last generation and by the defender",
+    "std/*": "mean STD of the last generation's actions, in units of action, by situation",
+    "report/*": "pictures: payoff (who beats whom), rating, precision, and match, a film",
+}
+LAYOUT = {
+    "League report": {
+        "ratings, in Elo points": [r"rating/.*"],
+        "STD by situation, in units of action": [r"std/.*"],
+        "share of shots saved": [r"save_rate/.*"],
+    },
+}
 
 
 def write_report(
@@ -92,16 +110,10 @@ def draw(found: LeagueMetrics, matches: pd.DataFrame | None) -> dict[str, bytes]
 
 
 def log_to_tensorboard(writer: SummaryWriter, folder: Path | str, found: LeagueMetrics, step: int) -> None:
-    """Log a report that `write_report` has written to `folder`.
+    """Log a report that `write_report` has written to `folder`, with the tags of `TAGS`; NaN are left out.
 
-    rating/generation                             a curve: Elo points of the generations of the matrix, each at the
-                                                  step at which it was frozen, `step` being that of the last
-    rating/<anchor>                               the anchors', at `step`
-    save_rate/last, save_rate/defender            at `step`
-    std/before_a_save, std/before_a_strike, ...   mean STD by situation, at `step`
-    report/{payoff, rating, precision, match}     pictures, the last one animated, at `step`
-
-    What is not a number is not logged.
+    Args:
+        step: of the last generation; those of earlier ones are proportional to their numbers.
     """
     scalars = [
         (f"rating/{row.member}", row.rating, step)

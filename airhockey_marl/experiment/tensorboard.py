@@ -1,79 +1,31 @@
-"""What TensorBoard shows of a run: a fixed vocabulary, its layout, the settings as a card and as hyperparameters.
+"""Event files for TensorBoard: a run's settings and tags, pictures, final scores, and writers that resume.
 
-VOCABULARY explains every tag that any command writes; the tests hold the event files against it.
+The code that writes tags explains them: it passes `log_run_header` a text per tag and a layout of charts. torch and PIL
+are imported by the functions that need them.
 """
+
+from __future__ import annotations
 
 import io
 import json
-import re
 import threading
-import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import yaml
 from omegaconf import DictConfig, OmegaConf
-from PIL import Image
-from tensorboard.compat.proto.summary_pb2 import Summary
-from torch.utils.tensorboard import SummaryWriter
-from torch.utils.tensorboard.summary import hparams
 
-# tag, with * for what varies, and what it is; x is the number of steps of play unless said otherwise
-VOCABULARY = {
-    "update/*": "what the algorithm says of its updates, averaged over a generation (TRPO: kl, gain, step, std, ...)",
-    "win_rate_against/*": "share of decided rounds that a new generation wins against an older one or a script",
-    "speed/steps_per_s": "steps of play per second since the run began; the only scalars that two equal runs differ in",
-    "league/*": "pictures while it learns: win_rates, of the generations so far, when each was the newest, against "
-    "those before it and the scripts; and film, some seconds of the newest (left, blue) against the striker",
-    "rating/*": "Elo points above generation 0, of the generations of the payoff matrix and of the scripts",
-    "save_rate/*": "share of the striker's shots that are saved, by the last generation and by the defender",
-    "std/*": "mean STD of the last generation's actions, in units of action, by situation",
-    "report/*": "pictures: payoff (who beats whom), rating, precision, and match, a film",
-    "maml/*": "per epoch: loss of Eq. 3 after adaptation (Eq. 2), and loss_before it",
-    "supervised/*": "per epoch: loss of Eq. 3 without meta-learning",
-    "study/*": "mean of a metric over people, study/<metric>/<condition>; x is the condition, (a) to (i) as 1 to 9; "
-    "rates are shares from 0 to 1, mean_smash_speed is in m/s, mean_disagreement in N, ratings are from 1 to 7",
-    "means/text_summary": "the same as a table",
-    "force/*": "histogram of the size of the force in N, every tick of everybody's game, by condition",
-    "w_*": "histogram of a weight (w_unc_optimal, w_unc_user, w_sim), ditto, by condition that uses it",
-    "figure/*": "pictures of a study: figure6",
-    "score/*": "what a finished run is judged by, the metrics of the HPARAMS page: shares of decided rounds, of a "
-    "league's last generation against a script (against_striker) and an older one (generation_0); mean_smash_speed in "
-    "m/s; losses of Eq. 3, and rmse in units of action; how many of the paper's findings are replicated",
-    "card/text_summary": "the resolved configuration",
-    "names/text_summary": "this table",
-}
-LAYOUT = {
-    "League": {
-        "share of rounds won against scripts": ["Multiline", [r"win_rate_against/[a-z]+$"]],
-        "share of rounds won against generations": ["Multiline", [r"win_rate_against/\d+$"]],
-        "STD of actions, in units of action": ["Multiline", [r"update/std$"]],
-        "KL divergence of an update, and gain": ["Multiline", [r"update/(kl|gain)$"]],
-        "share of TRPO's full step": ["Multiline", [r"update/step$"]],
-        "loss of the critic": ["Multiline", [r"update/critic_loss$"]],
-    },
-    "League report": {
-        "ratings, in Elo points": ["Multiline", [r"rating/.*"]],
-        "STD by situation, in units of action": ["Multiline", [r"std/.*"]],
-        "share of shots saved": ["Multiline", [r"save_rate/.*"]],
-    },
-    "User models": {
-        "loss of Eq. 3, with meta-learning": ["Multiline", [r"maml/loss$", r"maml/loss_before$"]],
-        "loss of Eq. 3, without": ["Multiline", [r"supervised/loss$"]],
-    },
-    "Study: conditions (a) to (i) from left to right": {
-        "share of rounds won": ["Multiline", [r"study/win_rate/.*"]],
-        "mean smash speed, in m/s": ["Multiline", [r"study/mean_smash_speed/.*"]],
-        "share of shots stopped": ["Multiline", [r"study/defense_rate/.*"]],
-        "mean disagreement, in N": ["Multiline", [r"study/mean_disagreement/.*"]],
-        "ratings by proxy, from 1 to 7": ["Multiline", [r"study/(helpfulness|naturalness|controllability|comfort)/.*"]],
-    },
-}
-STAMPED = re.compile(r"(events\.out\.tfevents\.)(\d{10})(\..*)")
-# how a run is run, not what it is
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
+
+Layout = Mapping[str, Mapping[str, Sequence[str]]]  # by category and title of the chart, regular expressions of tags
+
+# by tag, with * for a part that varies, what it is: tags of every run
+COMMON_TAGS = {"card/text_summary": "the resolved configuration", "names/text_summary": "this table"}
+# settings of how a run is executed, which do not change its results
 NOT_SETTINGS = ("resume", "threads", "device", "pictures_every")
-SCORES = "scores"  # the folder of what the HPARAMS page shows
+SCORES = "scores"  # subfolder of the scores on the HPARAMS page
 
 
 def flatten_settings(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
@@ -87,32 +39,46 @@ def flatten_settings(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any
     return leaves
 
 
-class Short(yaml.SafeDumper):
+class _CardDumper(yaml.SafeDumper):
     """Writes lists in one line, as the yaml files of `conf/` do."""
 
 
-Short.add_representer(list, lambda dumper, items: dumper.represent_sequence("tag:yaml.org,2002:seq", items, True))
+_CardDumper.add_representer(list, lambda dumper, items: dumper.represent_sequence("tag:yaml.org,2002:seq", items, True))
 
 
-def verbatim(text: str) -> str:
-    """Markdown that shows a text as it is, line by line."""
+def code_block(text: str) -> str:
+    """Markdown that shows a text verbatim."""
     return "".join(f"    {line}\n" for line in text.splitlines())
 
 
-def log_run_header(writer: SummaryWriter, cfg: DictConfig) -> None:
-    """Log what a run is, once, as it begins: the layout of the CUSTOM SCALARS page, card and names on the TEXT page."""
-    writer.add_custom_scalars(LAYOUT)
+def log_run_header(writer: SummaryWriter, cfg: DictConfig, tags: Mapping[str, str], layout: Layout) -> None:
+    """Log what a run is, once, at its beginning.
+
+    Args:
+        cfg: shown as card on the TEXT page.
+        tags: by tag, with * for a part that varies, what it is; shown as table of names on the TEXT page.
+        layout: charts of the CUSTOM SCALARS page.
+    """
+    charts = {
+        category: {title: ["Multiline", list(patterns)] for title, patterns in titles.items()}
+        for category, titles in layout.items()
+    }
+    writer.add_custom_scalars(charts)
     tree = OmegaConf.to_container(cfg, resolve=True)
-    writer.add_text("card", verbatim(yaml.dump(tree, Dumper=Short, sort_keys=False, width=100)))
-    rows = "".join(f"| `{tag.removesuffix('/text_summary')}` | {what} |\n" for tag, what in VOCABULARY.items())
+    writer.add_text("card", code_block(yaml.dump(tree, Dumper=_CardDumper, sort_keys=False, width=100)))
+    texts = {**tags, **COMMON_TAGS}
+    rows = "".join(f"| `{tag.removesuffix('/text_summary')}` | {text} |\n" for tag, text in texts.items())
     writer.add_text("names", f"| name | what it is |\n|---|---|\n{rows}")
 
 
 def add_picture(writer: SummaryWriter, tag: str, content: bytes, step: int) -> None:
-    """Log a picture as it is, a PNG or an animated GIF.
+    """Log a PNG or an animated GIF without encoding it anew.
 
-    `SummaryWriter.add_image` would encode it anew, and its `add_video` makes a GIF with a moviepy of before version 2.
+    `SummaryWriter.add_image` decodes and encodes, and its `add_video` needs a moviepy older than version 2.
     """
+    from PIL import Image
+    from tensorboard.compat.proto.summary_pb2 import Summary
+
     with Image.open(io.BytesIO(content)) as picture:
         width, height = picture.size
     image = Summary.Image(width=width, height=height, colorspace=3, encoded_image_string=content)  # 3: RGB
@@ -120,51 +86,55 @@ def add_picture(writer: SummaryWriter, tag: str, content: bytes, step: int) -> N
 
 
 def log_final_scores(folder: Path | str, cfg: DictConfig, scores: Mapping[str, float], step: int = 0) -> None:
-    """Log what came of a finished run, as `score/*` and on the HPARAMS page beside all its settings.
+    """Log the scores of a finished run as `score/*`, and on the HPARAMS page beside its settings.
 
-    What the page shows is left to TensorBoard to gather: the settings of all runs, those that differ first, and every
-    scalar in their folders. So the scores have a folder to themselves, and there is no description of an experiment,
-    of which the page would take the first that it comes by, and show of the runs of other commands no more than that.
+    TensorBoard fills that page from the settings of all runs and every scalar in their folders. So the scores have a
+    folder of their own, and no experiment description: the page would take the first that it finds, and show only its
+    settings and scores for the runs of all commands.
 
     Args:
         folder: of the run.
-        scores: by name; what is not a number is left out.
+        scores: by name; NaN are left out.
     """
-    known = {f"score/{name}": float(value) for name, value in scores.items() if value == value}
+    from torch.utils.tensorboard.summary import hparams
+
+    scalars = {f"score/{name}": float(value) for name, value in scores.items() if value == value}
     settings = {
         name: value if isinstance(value, bool | int | float | str) else json.dumps(value)
         for name, value in flatten_settings(OmegaConf.to_container(cfg, resolve=True)).items()
         if name.rpartition(".")[2] not in NOT_SETTINGS
     }
-    with open_writer(tensorboard_dir(folder) / SCORES, 0) as writer:  # 0: a run that ends again has its scores once
-        for summary in hparams(settings, known)[1:]:  # without the description
+    # purge_step 0: a resumed run that ends a second time has its scores once
+    with open_writer(tensorboard_dir(folder) / SCORES, purge_step=0) as writer:
+        for summary in hparams(settings, scalars)[1:]:  # [0] is the experiment description
             writer._get_file_writer().add_summary(summary)
-        for name, value in known.items():
+        for name, value in scalars.items():
             writer.add_scalar(name, value, step)
 
 
 def tensorboard_dir(folder: Path | str) -> Path:
-    """Where a run's event files lie."""
+    """The folder of a run's event files."""
     return Path(folder) / "tensorboard"
 
 
-def open_writer(folder: Path, purge_step: int) -> SummaryWriter:
-    """Go on writing scalars; what was logged from `purge_step` on, by a run that was killed, is struck out.
+def open_writer(folder: Path, purge_step: int | None = None) -> SummaryWriter:
+    """Open a writer of event files.
 
-    TensorBoard reads files in the order of the seconds in their names, and strikes out of what it has read before.
-    Files that are not older than now, because the clock was set back or went on no second, are given older names.
+    Args:
+        purge_step: of a resumed run, the first step that is logged again. TensorBoard then drops what files that it
+            reads earlier have from this step on. It reads in the order of file names, which hold the time of creation:
+            earlier files are renumbered from 0, so that they come first even if the clock was set back.
     """
-    now, stamped = int(time.time()), sorted(path for path in folder.glob("events*") if STAMPED.fullmatch(path.name))
-    for place, path in enumerate(stamped):
-        prefix, second, rest = STAMPED.fullmatch(path.name).groups()
-        oldest_left = now - (len(stamped) - place)
-        if int(second) > oldest_left:
-            path.rename(path.with_name(f"{prefix}{oldest_left:010d}{rest}"))
-    threading.excepthook = _said_once
+    from torch.utils.tensorboard import SummaryWriter
+
+    for number, path in enumerate(sorted(folder.glob("events.out.tfevents.*"))):
+        rest = path.name.split(".", 4)[4]  # host, process and a counter
+        path.rename(path.with_name(f"events.out.tfevents.{number:010d}.{rest}"))
+    threading.excepthook = _report_thread_error
     return SummaryWriter(str(folder), purge_step=purge_step)
 
 
-def _said_once(args: threading.ExceptHookArgs) -> None:
-    """Say what has ended a thread, unless it is TensorBoard's: whoever writes or flushes next is given its error."""
+def _report_thread_error(args: threading.ExceptHookArgs) -> None:
+    """Print the traceback of a thread, except of TensorBoard's, whose OSError the next write or flush raises again."""
     if not (isinstance(args.exc_value, OSError) and type(args.thread).__module__.startswith("tensorboard.")):
         threading.__excepthook__(args)

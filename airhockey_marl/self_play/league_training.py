@@ -37,6 +37,25 @@ STRONGEST_SCRIPT = "striker"  # of the scripts: the strongest
 CARD_ROUNDS = 25  # times as many rounds as in training, for the scores on the card
 FILM_SECONDS, FILM_WIDTH = 6.0, 240  # of play, and pixels
 SEEDS_APART = 100_000  # more than there are tables in a match, each of which has a seed of its own
+TAGS = {  # x is the number of steps of play
+    "update/*": "statistics of the algorithm's updates, means over a generation (TRPO: kl, gain, step, std, ...)",
+    "win_rate_against/*": "share of decided rounds that a new generation wins against an older one or a script",
+    "speed/steps_per_s": "steps of play per second since the run began; the only scalar that differs between equal runs",
+    "league/*": "pictures: win_rates, of each generation when it was the newest against earlier ones and the scripts; "
+    "film, some seconds of the newest generation (left, blue) against the striker",
+    "score/*": "shares of decided rounds that the last generation wins against a script (against_striker) and an older "
+    "generation (generation_0)",
+}
+LAYOUT = {
+    "League": {
+        "share of rounds won against scripts": [r"win_rate_against/[a-z]+$"],
+        "share of rounds won against generations": [r"win_rate_against/\d+$"],
+        "STD of actions, in units of action": [r"update/std$"],
+        "KL divergence of an update, and gain": [r"update/(kl|gain)$"],
+        "share of TRPO's full step": [r"update/step$"],
+        "loss of the critic": [r"update/critic_loss$"],
+    },
+}
 
 
 def train_league(
@@ -76,7 +95,7 @@ def train_league(
     # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
     board = open_writer(tensorboard_dir(folder), done * cfg.steps_per_generation + 1)
     if not done:
-        log_run_header(board, cfg)
+        log_run_header(board, cfg, TAGS, LAYOUT)
     began = time.perf_counter() - seconds
     todo = range(done + 1, cfg.generations + 1)
     bar = tqdm(todo, desc="generation", initial=done, total=cfg.generations, file=sys.stderr, disable=None)

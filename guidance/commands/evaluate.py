@@ -14,13 +14,10 @@ figure6.png and .svg, report.html, manifest.json (configuration, seeds, models, 
 import sys
 import time
 from pathlib import Path
-from string import ascii_lowercase
 
-import pandas as pd
 import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from torch.utils.tensorboard import SummaryWriter
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import (
@@ -33,20 +30,12 @@ from airhockey_marl.experiment.command import (
 )
 from airhockey_marl.experiment.files import atomic_write, write_json
 from airhockey_marl.experiment.registry import construct
-from airhockey_marl.experiment.tensorboard import (
-    add_picture,
-    log_final_scores,
-    log_run_header,
-    tensorboard_dir,
-    verbatim,
-)
 from guidance.simulated_users import Population, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
 from guidance.simulated_users.ratings import RATINGS
 from guidance.statistics.histograms import Histograms
-from guidance.statistics.paper import compare_with_paper
 from guidance.statistics.report import screen_table, write_report
-from guidance.statistics.tests import METRICS, conditions_of
+from guidance.statistics.tensorboard import log_study
 from guidance.study.protocol import PAPER_LETTERS, Protocol, is_balanced, williams_design
 from guidance.study.provenance import file_hashes, load_conditions, load_models, load_opponent, manifest
 from guidance.study.study import run_study
@@ -99,30 +88,10 @@ def main(cfg: DictConfig) -> None:
     facts = manifest(cfg, file_hashes(cfg, models), command_line, time.perf_counter() - began)
     write_json(folder / "manifest.json", facts)
     tests = write_report(trials, folder, facts)
-    log_to_tensorboard(cfg, folder, trials, tests, histograms)
+    log_study(cfg, folder, trials, tests, histograms)
     print(screen_table(trials))
     print("" if facts["frozen"] else "\nNOT the frozen study: its configuration, models or seed differ; exploratory.")
     print(f"report: {folder / 'report.html'}")
-
-
-def log_to_tensorboard(
-    cfg: DictConfig, folder: Path, trials: pd.DataFrame, tests: pd.DataFrame, histograms: Histograms
-) -> None:
-    """Log a study that `write_report` has written to `folder`, in the words of `airhockey_marl.experiment.tensorboard`."""
-    means = trials.groupby("condition")[list(METRICS)].mean()
-    findings = compare_with_paper(tests, list(cfg.users.withdrawn))
-    findings = findings.loc[findings["paper"] == "significant", "outcome"]
-    with SummaryWriter(str(tensorboard_dir(folder))) as writer:
-        log_run_header(writer, cfg)
-        for name, condition in conditions_of(trials).items():
-            place = 1 + ascii_lowercase.index(condition.letter)  # side by side; each a curve, or they would be smoothed
-            for metric, mean in means.loc[name].dropna().items():
-                writer.add_scalar(f"study/{metric}/{name}", mean, place)
-        writer.add_text("means", verbatim(screen_table(trials)))
-        histograms.log(writer)
-        add_picture(writer, "figure/figure6", (folder / "figure6.png").read_bytes(), 0)
-    scores = {metric: means[metric].mean() for metric in ("win_rate", "mean_smash_speed", "defense_rate")}
-    log_final_scores(folder, cfg, scores | {"replicated": float((findings == "replicated").sum())})
 
 
 if __name__ == "__main__":

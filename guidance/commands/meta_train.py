@@ -50,6 +50,18 @@ from guidance.user_model.evaluation import judge, predictors
 from guidance.user_model.rounds import action_ahead
 from guidance.user_model.training import train_maml, train_supervised
 
+TAGS = {
+    "maml/*": "per epoch: loss of Eq. 3 after adaptation (Eq. 2), and loss_before it",
+    "supervised/*": "per epoch: loss of Eq. 3 without meta-learning",
+    "score/*": "losses of Eq. 3 on people who were not trained on, and rmse of the predictions in units of action",
+}
+LAYOUT = {
+    "User models": {
+        "loss of Eq. 3, with meta-learning": [r"maml/loss$", r"maml/loss_before$"],
+        "loss of Eq. 3, without": [r"supervised/loss$"],
+    },
+}
+
 STATE = "state.safetensors"
 JUDGE = "after_ua_loss"  # of the scores
 COMPILERS = ("g++", "clang++")  # that torch.compile looks for
@@ -154,7 +166,7 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
         # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
         board = open_writer(tensorboard_dir(folder) / name, done[name] + 1)
         if name == "maml" and not done[name]:
-            log_run_header(board, cfg)
+            log_run_header(board, cfg, TAGS, LAYOUT)
         training = train(models[name], data, **cfg[name], optimizer=optimizers[name], done=done[name])
         bar = tqdm(training, name, cfg[name].epochs, initial=done[name], unit="epoch", file=sys.stderr, disable=None)
         with name_divergence(f"{name} training", folder / STATE):

@@ -46,7 +46,7 @@ from guidance.user_model.evaluation import (
     reliability,
     with_intervals,
 )
-from guidance.user_model.figures import draw_adaptation, draw_ahead, draw_reliability
+from guidance.user_model.figures import draw_adaptation, draw_horizons, draw_reliability
 from guidance.user_model.maml import parameters
 from guidance.user_model.rounds import action_ahead
 from guidance.user_model.training import adapt_to_user
@@ -208,7 +208,7 @@ def reliabilities(models: Models, data: Demonstrations, table: TableSpec) -> dic
 def write(folder: Path, found: Mapping, facts: Mapping) -> None:
     """Write the numbers, the figures and the page, and print the table of errors."""
     write_json(folder / "prediction.json", {**found, **facts})
-    figures = {"ahead": draw_ahead, "adaptation": draw_adaptation, "reliability": draw_reliability}
+    figures = {"ahead": draw_horizons, "adaptation": draw_adaptation, "reliability": draw_reliability}
     images = {}
     for name, draw in figures.items():
         draw(found, NAMES, folder / f"{name}.png")

@@ -1,4 +1,4 @@
-"""What TensorBoard shows: names from the vocabulary alone, and the values that the runs wrote elsewhere."""
+"""TensorBoard shows only documented tags, and the same values as the files of the runs."""
 
 import fnmatch
 import io
@@ -21,17 +21,26 @@ from tensorboard.plugins.hparams.backend_context import Context
 from tensorboard.plugins.hparams.plugin_data_pb2 import HParamsPluginData
 from torch.utils.tensorboard import SummaryWriter
 
+from airhockey_marl.evaluation import league_report
 from airhockey_marl.experiment.files import load_tensors
-from airhockey_marl.experiment.tensorboard import LAYOUT, SCORES, VOCABULARY, add_picture, open_writer, tensorboard_dir
+from airhockey_marl.experiment.tensorboard import COMMON_TAGS, SCORES, add_picture, open_writer, tensorboard_dir
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
+from airhockey_marl.self_play import league_training
+from guidance.commands import meta_train
 from guidance.forces.conditions import GuidanceOutput
+from guidance.statistics import tensorboard as study
 from guidance.statistics.histograms import BINS, Histograms
 from guidance.statistics.tests import CONDITIONS, METRICS
 from tests.airhockey_marl.commands.test_cli import smoke
 
 SIZES = {"scalars": 0, "histograms": 0, "images": 0, "tensors": 0}
-# of each command, the folder that says what the run is
-COMMANDS = {"train": ".", "league_report": ".", "meta_train": "maml", "evaluate": "."}
+# of each command, the module with its tags, and the folder of the event file that has the run's header
+COMMANDS = {
+    "train": (league_training, "."),
+    "league_report": (league_report, "."),
+    "meta_train": (meta_train, "maml"),
+    "evaluate": (study, "."),
+}
 SCORED = ("train", "meta_train", "evaluate")
 
 
@@ -51,24 +60,23 @@ def events_of(folder, part: str = ".") -> EventAccumulator:
     return EventAccumulator(str(tensorboard_dir(folder) / part), size_guidance=SIZES).Reload()
 
 
-def test_every_tag_is_in_the_vocabulary(runs):
-    files = sorted(runs.rglob("events*"))
-    assert {file.relative_to(runs).parts[0] for file in files} == set(COMMANDS)
-    met = set()
-    for folder in {file.parent for file in files}:
+@pytest.mark.parametrize("name", COMMANDS)
+def test_exactly_the_tags_that_a_command_logs_are_documented(runs, name):
+    documented = {**COMMANDS[name][0].TAGS, **COMMON_TAGS}
+    logged = set()
+    for folder in {file.parent for file in (runs / name).rglob("events*")}:
         tags = EventAccumulator(str(folder), size_guidance=SIZES).Reload().Tags()
-        shown = [tag for kind in ("scalars", "histograms", "images", "tensors") for tag in tags[kind]]
-        for tag in shown:
-            if not tag.startswith(("_hparams_/", "custom_scalars__")):  # TensorBoard's
-                known = [name for name in VOCABULARY if fnmatch.fnmatchcase(tag, name)]
-                assert known, tag
-                met |= set(known)
-    assert met == set(VOCABULARY)  # and nothing is explained that nobody writes
+        for tag in (tag for kind in ("scalars", "histograms", "images", "tensors") for tag in tags[kind]):
+            if not tag.startswith(("_hparams_/", "custom_scalars__")):  # TensorBoard's own
+                patterns = [pattern for pattern in documented if fnmatch.fnmatchcase(tag, pattern)]
+                assert patterns, tag
+                logged |= set(patterns)
+    assert logged == set(documented)
 
 
 @pytest.mark.parametrize("name", COMMANDS)
 def test_the_card_is_the_resolved_configuration(runs, name):
-    (card,) = events_of(runs / name, COMMANDS[name]).Tensors("card/text_summary")
+    (card,) = events_of(runs / name, COMMANDS[name][1]).Tensors("card/text_summary")
     shown = yaml.safe_load(card.tensor_proto.string_val[0].decode())
     written = yaml.safe_load((runs / name / ".hydra" / "config.yaml").read_text())
     assert shown["seed"] == written["seed"] and set(shown) <= set(written)
@@ -76,22 +84,23 @@ def test_the_card_is_the_resolved_configuration(runs, name):
 
 
 @pytest.mark.parametrize("name", COMMANDS)
-def test_the_names_are_explained(runs, name):
-    (names,) = events_of(runs / name, COMMANDS[name]).Tensors("names/text_summary")
+def test_the_tags_are_explained_on_the_text_page(runs, name):
+    (names,) = events_of(runs / name, COMMANDS[name][1]).Tensors("names/text_summary")
     rows = re.findall(r"^\| `(.*?)` \| (.*) \|$", names.tensor_proto.string_val[0].decode(), re.MULTILINE)
-    assert rows == [(tag.removesuffix("/text_summary"), what) for tag, what in VOCABULARY.items()]
+    texts = {**COMMANDS[name][0].TAGS, **COMMON_TAGS}
+    assert rows == [(tag.removesuffix("/text_summary"), text) for tag, text in texts.items()]
 
 
 @pytest.mark.parametrize("name", SCORED)
-def test_settings_and_scores_lie_where_the_hparams_page_finds_them(runs, name):
+def test_the_hparams_page_finds_settings_and_scores(runs, name):
     events = events_of(runs / name, SCORES)
-    found = {
+    hparams = {
         tag: HParamsPluginData.FromString(events.SummaryMetadata(tag).plugin_data.content)
         for tag in events.summary_metadata
         if tag.startswith("_hparams_/")
     }
-    assert set(found) == {"_hparams_/session_start_info", "_hparams_/session_end_info"}
-    settings = found["_hparams_/session_start_info"].session_start_info.hparams
+    assert set(hparams) == {"_hparams_/session_start_info", "_hparams_/session_end_info"}
+    settings = hparams["_hparams_/session_start_info"].session_start_info.hparams
     assert not [key for key in settings if key.endswith(("threads", "_partial_"))]
     assert settings["seed"].number_value == {"train": 0, "meta_train": 4, "evaluate": 3}[name]
     scores = {tag.removeprefix("score/"): events.Scalars(tag) for tag in events.Tags()["scalars"]}
@@ -125,7 +134,7 @@ def test_the_hparams_page_of_all_runs_has_every_commands_settings_and_scores(run
     assert {"score/against_striker", "score/after_ua_loss", "score/replicated"} <= metrics
 
 
-def test_a_training_shows_its_matches_a_film_and_a_heat_map(runs):
+def test_training_logs_matches_a_film_and_a_heat_map(runs):
     events, matches = events_of(runs / "train"), pd.read_csv(runs / "train" / "matches.csv")
     for opponent, rows in matches.groupby("opponent"):
         decided = rows[rows["won"] + rows["lost"] > 0]
@@ -142,7 +151,7 @@ def test_a_training_shows_its_matches_a_film_and_a_heat_map(runs):
                 assert name != "film" or picture.n_frames > 100
 
 
-def test_a_league_is_the_same_with_pictures_and_without(runs, tmp_path):
+def test_pictures_do_not_change_the_league(runs, tmp_path):
     smoke("airhockey_marl.train", "pictures_every=0", f"hydra.run.dir={tmp_path}/train")
     first, second = (load_tensors(folder / "train" / "state.safetensors") for folder in (runs, tmp_path))
     assert all(torch.equal(tensor, second[0][name]) for name, tensor in first[0].items())
@@ -153,12 +162,12 @@ def test_a_league_is_the_same_with_pictures_and_without(runs, tmp_path):
     assert [e.value for e in again.Scalars("update/kl")] == [e.value for e in shown.Scalars("update/kl")]
 
 
-def test_what_a_killed_run_has_drawn_is_struck_out(tmp_path):
+def test_pictures_after_the_last_checkpoint_of_a_killed_run_are_purged(tmp_path):
     def png(shade: int) -> bytes:
         Image.new("RGB", (2, 1), (shade,) * 3).save(content := io.BytesIO(), "PNG")
         return content.getvalue()
 
-    for purge_step, shades in ((1, (10, 20, 30)), (2, (25, 35))):  # the second life goes on after step 1
+    for purge_step, shades in ((1, (10, 20, 30)), (2, (25, 35))):  # resumed after step 1
         with open_writer(tmp_path, purge_step) as board:
             for step, shade in enumerate(shades, start=purge_step):
                 add_picture(board, "league/film", png(shade), step)
@@ -166,7 +175,7 @@ def test_what_a_killed_run_has_drawn_is_struck_out(tmp_path):
     assert [(image.step, image.encoded_image_string) for image in shown] == [(1, png(10)), (2, png(25)), (3, png(35))]
 
 
-def test_user_models_show_the_loss_of_every_epoch(runs):
+def test_meta_training_logs_the_loss_of_every_epoch(runs):
     for name, tags in (("maml", {"maml/loss", "maml/loss_before"}), ("supervised", {"supervised/loss"})):
         events = events_of(runs / "meta_train", name)
         assert set(events.Tags()["scalars"]) == tags
@@ -175,7 +184,7 @@ def test_user_models_show_the_loss_of_every_epoch(runs):
             assert all(np.isfinite(event.value) for event in events.Scalars(tag))
 
 
-def test_a_report_shows_what_its_files_say(runs):
+def test_the_league_report_logs_the_values_in_its_files(runs):
     folder = runs / "league_report"
     events, ratings = events_of(folder), pd.read_csv(folder / "ratings.csv", dtype={"member": str})
     ratings = ratings[ratings["source"] == "payoff"].set_index("member")["rating"].to_dict()
@@ -189,20 +198,21 @@ def test_a_report_shows_what_its_files_say(runs):
         assert image.step == 2000 and image.encoded_image_string == (folder / name).read_bytes()
 
 
-def test_the_layout_shows_what_there_is(runs):
-    events = events_of(runs / "train")
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_layout_shows_scalars_that_are_logged(runs, name):
+    events = events_of(runs / name, COMMANDS[name][1])
     (logged,) = events.Tensors("custom_scalars__config__")
     layout = Layout.FromString(logged.tensor_proto.string_val[0])
     charts = {chart.title: list(chart.multiline.tag) for page in layout.category for chart in page.chart}
-    assert charts == {title: tags for page in LAYOUT.values() for title, (_, tags) in page.items()}
-    folders = {file.parent for file in runs.rglob("events*")}
-    names = {name for folder in folders for name in EventAccumulator(str(folder)).Reload().Tags()["scalars"]}
-    for title, tags in charts.items():
-        for tag in tags:
-            assert any(re.fullmatch(tag, name) for name in names), (title, tag)
+    assert charts == {title: tags for page in COMMANDS[name][0].LAYOUT.values() for title, tags in page.items()}
+    folders = {file.parent for file in (runs / name).rglob("events*")}
+    scalars = {tag for folder in folders for tag in EventAccumulator(str(folder)).Reload().Tags()["scalars"]}
+    for title, patterns in charts.items():
+        for pattern in patterns:
+            assert any(re.fullmatch(pattern, tag) for tag in scalars), (title, pattern)
 
 
-def test_a_study_shows_its_means_forces_and_weights(runs):
+def test_a_study_logs_means_forces_and_weights(runs):
     events = events_of(runs / "evaluate")
     means = pd.read_csv(runs / "evaluate" / "trials.csv").groupby("condition")[list(METRICS)].mean()
     shown = {tag: [(e.step, e.value) for e in events.Scalars(tag)] for tag in events.Tags()["scalars"]}
@@ -224,7 +234,7 @@ def histograms(events: EventAccumulator, signal: str) -> list[str]:
     return [tag for tag in events.Tags()["histograms"] if tag.startswith(f"{signal}/")]
 
 
-def test_histograms_count_every_answer_once(tmp_path):
+def test_histograms_count_every_output_once(tmp_path):
     class Named:
         def __init__(self, name):
             self.name = name
@@ -244,7 +254,7 @@ def test_histograms_count_every_answer_once(tmp_path):
     assert value.num == 1 and value.min <= 0.25 <= value.max
 
 
-def test_a_spring_that_is_clipped_to_nothing_has_a_histogram_too(tmp_path):
+def test_a_spring_with_a_force_limit_of_zero_has_a_histogram(tmp_path):
     class Named:
         name = "one"
 
