@@ -40,7 +40,7 @@ SEEDS_APART = 100_000  # more than there are tables in a match, each of which ha
 TAGS = {  # x is the number of steps of play
     "update/*": "statistics of the algorithm's updates, means over a generation (TRPO: kl, gain, step, std, ...)",
     "win_rate_against/*": "share of decided rounds that a new generation wins against an older one or a script",
-    "speed/steps_per_s": "steps of play per second since the run began; the only scalar that differs between equal runs",
+    "speed/steps_per_s": "steps of play per second since the start; the only scalar that differs between equal runs",
     "league/*": "pictures: win_rates, of each generation when it was the newest against earlier ones and the scripts; "
     "film, some seconds of the newest generation (left, blue) against the striker",
     "score/*": "shares of decided rounds that the last generation wins against a script (against_striker) and an older "
