@@ -202,7 +202,7 @@ def page(
         points=_points,
         against_far=_against_far,
         p=_p,
-        label=figures.member_label,
+        named=figures.member_label,
     ).render(
         found=found,
         last=RatingDifference(*rated.loc[found.last]),
