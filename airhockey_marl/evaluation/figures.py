@@ -267,28 +267,27 @@ def film(
     width: int = 320,
     frame_skip: int = FRAME_SKIP,
 ) -> bytes:
-    """An animated GIF of a match between two members, left and right, with a frame per decision.
+    """An animated GIF of a match between two members, left and right: round after round, a picture per decision.
 
-    Both sample their actions, as in training, from generators that are seeded with `seed` and `seed + 1`.
+    Both sample, as in training, with random numbers of their own that follow from the seed.
     """
     left, right = (
         stochastic(league.lineup([member]), torch.Generator().manual_seed(seed + seat))
         for seat, member in enumerate(members)
     )
     game = AirHockey(frame_skip=frame_skip)
-    observations, _ = game.reset(seed)
-    frame_time = frame_skip * game.tables.table.tick
+    seen, _ = game.reset(seed)
+    between = frame_skip * game.tables.table.tick
     players, pictures, palette = dict(zip(SEATS, (left, right), strict=True)), [], None
-    for _ in range(max(1, round(seconds / frame_time))):
+    for _ in range(max(1, round(seconds / between))):
         picture = Image.fromarray(draw_table(game.tables.bodies[0], game.tables.table, width))
-        palette = palette or picture.quantize(32)  # the same for all frames, which would flicker otherwise
+        palette = palette or picture.quantize(32)  # one for all pictures: they flicker otherwise
         pictures.append(picture.quantize(palette=palette, dither=Image.Dither.NONE))
         if not game.agents:
-            observations, _ = game.reset()
-        actions = {s: player(torch.from_numpy(observations[s])[None])[0].numpy() for s, player in players.items()}
-        observations, *_ = game.step(actions)
+            seen, _ = game.reset()
+        seen, *_ = game.step({s: player(torch.from_numpy(seen[s])[None])[0].numpy() for s, player in players.items()})
     gif = io.BytesIO()
-    pictures[0].save(gif, "GIF", save_all=True, append_images=pictures[1:], duration=round(1000 * frame_time), loop=0)
+    pictures[0].save(gif, "GIF", save_all=True, append_images=pictures[1:], duration=round(1000 * between), loop=0)
     return gif.getvalue()
 
 
