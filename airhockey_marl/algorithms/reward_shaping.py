@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.envs.puck_path import goal_alignment
 from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, kind_of, labeled
 from airhockey_marl.players.networks import BODY_SCALE
 
@@ -43,7 +44,7 @@ class RewardShaping:
         behind = torch.stack([puck[..., 0].clamp(max=0.0) - self.BEHIND, puck[..., 1]], dim=-1)
         away = (paddle - behind).norm(dim=-1, keepdim=True) / half
         ahead, speed = observation[..., 8:9] / half, (observation[..., 10:11] / fast).tanh()
-        worth = self.velocity + self.shot * on_goal(observation)
+        worth = self.velocity + self.shot * goal_alignment(observation, TABLE)
         return self.position * ahead + worth * speed - self.approach * away
 
     def reward(self, observation: Tensor, following: Tensor, terminated: Tensor, gamma: float) -> Tensor:
@@ -62,18 +63,3 @@ def shaping_strength(generation: int, generations: int) -> float:
     check_counts(generation=generation)
     check_counts(0, generations=generations)
     return max(0.0, 1.0 - (generation - 1) / generations) if generations else 0.0
-
-
-def on_goal(observation: Tensor) -> Tensor:
-    """How well the puck, left alone, is aimed at the goal at the end it moves to: (..., 1) for observations (..., 12).
-
-    1 in the middle of the goal, falling off as a Gaussian over its half width. Its path is followed over the side
-    walls as over mirrors: what a bounce takes from its speed is neglected.
-    """
-    check_tensors(observation=(observation, "... 12"))
-    x, y, vx, vy = observation[..., 8:12].split(1, dim=-1)
-    side = TABLE.width / 2 - TABLE.puck_radius
-    seconds = (TABLE.length / 2 - x * vx.sign()) / vx.abs().clamp(min=TABLE.stall_speed)
-    unfolded = (y + vy * seconds + side).remainder(4 * side)  # one period there and back
-    crossing = side - (unfolded - 2 * side).abs()
-    return (-((crossing / (TABLE.goal / 2)) ** 2)).exp()

@@ -21,9 +21,10 @@ import torch
 from torch import Tensor
 
 from airhockey_marl.envs.physics import LEFT, RIGHT, TOUCHED_BY, TableSpec
+from airhockey_marl.envs.puck_path import seconds_to_goal
 from airhockey_marl.envs.world import OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.evaluation.matches import FRAME_SKIP
-from airhockey_marl.experiment.validation import check_arrays, check_counts, check_numbers
+from airhockey_marl.experiment.validation import check_counts, check_numbers
 from airhockey_marl.players.players import Player, answer
 
 SAVE_SECONDS, STRIKE_SECONDS, FAR = 0.4, 0.2, 0.8  # s, s, m
@@ -92,28 +93,6 @@ def record(
         games.new_rounds(over)
         steps[over] = 0
     return Trajectories(observation, mean, std, action, touched, ended, frame_skip * games.table.tick, games.table)
-
-
-def seconds_to_goal(observation: np.ndarray, table: TableSpec) -> np.ndarray:
-    """When a puck that nobody touches enters the own goal, from observations (..., 12); inf if it does not.
-
-    It goes straight on, without drag, and the side walls turn it back with their restitution.
-    """
-    check_arrays(observation=(observation, "... 12"))
-    x, y, vx, vy = np.moveaxis(observation[..., 8:12].astype(np.float64), -1, 0)
-    side = table.width / 2 - table.puck_radius
-    with np.errstate(divide="ignore", invalid="ignore"):
-        time = np.where(vx < 0, (x + table.length / 2) / -vx, np.inf)
-        left = np.where(np.isfinite(time), time, 0.0)
-        for _ in range(8):  # side walls; more of them on the way down the table take longer than anybody asks for
-            wall = np.where(vy > 0, side, -side)
-            until = np.where(vy != 0, np.maximum((wall - y) / vy, 0.0), np.inf)
-            meets = until < left
-            y = np.where(meets, wall, y)
-            left = np.where(meets, left - until, left)
-            vy = np.where(meets, -table.wall_restitution * vy, vy)
-        y = y + vy * left
-    return np.where(np.abs(y) < table.goal / 2, time, np.inf)
 
 
 def situations(play: Trajectories) -> np.ndarray:

@@ -14,14 +14,12 @@ import numpy as np
 import torch
 from numba import njit
 
-from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TOUCHED_BY, TableSpec, X, Y, step_physics
+from airhockey_marl.envs.physics import LEFT, RIGHT, TOUCHED_BY, TableSpec
+from airhockey_marl.envs.puck_path import BLOCKED, CONCEDED, shot_outcome, without_paddles, would_score
 from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.experiment.validation import check_counts
 from airhockey_marl.players.players import Player, answer
-
-FORESIGHT = 3.0  # s: a puck that has not scored by then is no shot
-NO_PADDLE = 1e-6  # m, radius of a paddle that is taken away: a table must have two
 
 
 class Saves(NamedTuple):
@@ -37,25 +35,6 @@ class Saves(NamedTuple):
 
 
 @njit(cache=True)
-def would_score(bodies, empty):
-    """Whether the puck of one table, `bodies` (3, 4), ends in the left goal within `FORESIGHT` if nobody touches it.
-
-    `empty` is the `TableSpec` with paddles of radius `NO_PADDLE`. They wait in the corners, where no puck gets.
-    """
-    alone = np.zeros((3, 4))
-    alone[PUCK] = bodies[PUCK]
-    for seat in (LEFT, RIGHT):
-        alone[seat, X] = (-0.5 if seat == LEFT else 0.5) * empty.length
-        alone[seat, Y] = 0.5 * empty.width
-    targets = alone[:PUCK, :PUCK].copy()
-    for _ in range(round(FORESIGHT / empty.tick)):
-        goal, _ = step_physics(alone, targets, empty)
-        if goal != 0:
-            return goal < 0
-    return False
-
-
-@njit(cache=True)
 def record(under_fire, counts, bodies, goals, touched, served, empty):
     """Enter what one tick brought to n tables.
 
@@ -63,17 +42,18 @@ def record(under_fire, counts, bodies, goals, touched, served, empty):
         under_fire: (n,) bool, a shot is on its way; updated.
         counts: (2,) shots blocked and conceded, of all tables; updated.
         bodies, goals, touched, served: the `World` after the tick.
-        empty: see `would_score`.
+        empty: the table without paddles, see `would_score`.
     """
     for index in range(len(bodies)):
-        if goals[index] != 0 or served[index]:
-            counts[1] += under_fire[index] and goals[index] < 0
-            under_fire[index] = False
-        elif touched[index] != 0:
-            threat = would_score(bodies[index], empty)
-            by_player, by_attacker = touched[index] & TOUCHED_BY[LEFT], touched[index] & TOUCHED_BY[RIGHT]
-            counts[0] += under_fire[index] and by_player != 0 and not threat
-            under_fire[index] = threat and (under_fire[index] or by_attacker != 0)
+        over = goals[index] != 0 or served[index]
+        if not over and touched[index] == 0:
+            continue
+        by_player, by_attacker = touched[index] & TOUCHED_BY[LEFT] != 0, touched[index] & TOUCHED_BY[RIGHT] != 0
+        threat = not over and would_score(bodies[index], empty)
+        outcome = shot_outcome(under_fire[index], threat, by_player, served[index], goals[index])
+        counts[0] += outcome == BLOCKED
+        counts[1] += outcome == CONCEDED and under_fire[index]
+        under_fire[index] = threat and (under_fire[index] or by_attacker)
 
 
 @torch.no_grad()
@@ -95,7 +75,7 @@ def count_saves(
     tables = World(rounds, table)
     tables.seed(seed)
     tables.new_rounds()
-    empty = tables.table._replace(paddle_radius=NO_PADDLE)
+    empty = without_paddles(tables.table)
     under_fire, counts = np.zeros(rounds, dtype=bool), np.zeros(2, dtype=np.int64)
     seen = np.empty((2, rounds, OBSERVATION_SIZE), dtype=np.float32)
     actions = np.empty((rounds, 2, ACTION_SIZE), dtype=np.float32)

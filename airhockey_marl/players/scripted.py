@@ -20,6 +20,7 @@ from numba import njit
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec, clamp
+from airhockey_marl.envs.puck_path import aim_offset, line_crossing, puck_at, seconds_to_goal_or_post
 from airhockey_marl.experiment.registry import Registry
 from airhockey_marl.experiment.validation import CPU, check_tensors
 
@@ -38,57 +39,12 @@ ALIGNED = 0.94  # cosine of 20 degrees, how exactly a paddle must be behind the 
 
 
 @njit(cache=True)
-def _along(place, velocity, seconds, wall, restitution):
-    """Place and velocity, in one dimension, of a puck between two walls at +-`wall`, so many seconds later."""
-    for _ in range(8):
-        if velocity == 0.0:
-            break
-        until = max((copysign(wall, velocity) - place) / velocity, 0.0)
-        if until >= seconds:
-            break
-        place = copysign(wall, velocity)
-        velocity *= -restitution
-        seconds -= until
-    return clamp(place + velocity * seconds, -wall, wall), velocity
-
-
-@njit(cache=True)
-def _coast(puck, seconds, table):
-    """The free puck (x, y, vx, vy) so many seconds later. Walls act on x and y apart; drag to first order."""
-    kept = 1.0 - table.drag * seconds
-    seconds *= 0.5 * (1.0 + kept)
-    x, vx = _along(puck[0], puck[2], seconds, table.length / 2 - table.puck_radius, table.wall_restitution)
-    y, vy = _along(puck[1], puck[3], seconds, table.width / 2 - table.puck_radius, table.wall_restitution)
-    return x, y, kept * vx, kept * vy
-
-
-@njit(cache=True)
-def _crossing(puck, line, table):
-    """In how many seconds and where (y) the puck crosses x = `line` on its way to the own end; inf if it does not.
-
-    Without drag: it changes the time a little, and the path not at all.
-    """
-    x, y, vx, vy = puck
-    if vx >= -table.stall_speed or x <= line:
-        return np.inf, y
-    seconds = (x - line) / -vx
-    return seconds, _along(y, vy, seconds, table.width / 2 - table.puck_radius, table.wall_restitution)[0]
-
-
-@njit(cache=True)
-def _until_goal(puck, table):
-    """In how many seconds the puck is in the own goal, or on its posts, if nobody stops it; inf if it passes."""
-    seconds, y = _crossing(puck, -table.length / 2, table)
-    return seconds if abs(y) < table.goal / 2 + 0.5 * table.puck_radius else np.inf
-
-
-@njit(cache=True)
 def _guard(puck, line, table):
     """Where to stop the puck: on the line, or in the mouth of the goal if it has come past that."""
     mouth = table.goal / 2
     if puck[0] < line + table.paddle_radius:
         return -table.length / 2 + table.paddle_radius, clamp(puck[1], -mouth, mouth)
-    seconds, y = _crossing(puck, line, table)
+    seconds, y = line_crossing(puck, line, table)
     if seconds < FORESIGHT:
         return line, clamp(y, -1.3 * mouth, 1.3 * mouth)
     return line, clamp(FOLLOWED * puck[1], -mouth, mouth)
@@ -98,16 +54,15 @@ def _guard(puck, line, table):
 def _shot(bank, x, y, opponent_x, table):
     """The direction from (x, y) to the opponent's goal, and the shot's y where it passes the opponent's paddle.
 
-    `bank` is the wall it goes over, 1 the left one, -1 the right one, 0 none. It aims at the goal's image in that
-    wall, which the lost speed puts farther away than a mirror would.
+    `bank` is the wall that the shot takes, see `aim_offset`.
     """
+    ahead, across = aim_offset(x, y, bank, 0.0, table)
+    passing = y + across / ahead * (opponent_x - x)
     wall = bank * (table.width / 2 - table.puck_radius)
-    ahead, aside = table.length / 2 - x, wall - y + wall / table.wall_restitution
-    passing = y + aside / ahead * (opponent_x - x)
     if abs(passing) > abs(wall) and bank != 0:
         passing = wall - (passing - wall) * table.wall_restitution
-    distance = hypot(ahead, aside)
-    return ahead / distance, aside / distance, passing
+    distance = hypot(ahead, across)
+    return ahead / distance, across / distance, passing
 
 
 @njit(cache=True)
@@ -162,13 +117,13 @@ def _strike(seen, banks, foremost, table):
     touching, fast = table.puck_radius + table.paddle_radius, table.paddle_speed
     low, high = table.paddle_radius - table.length / 2, -table.paddle_radius
     side = table.width / 2 - table.paddle_radius
-    until_goal = _until_goal(puck, table)
+    until_goal = seconds_to_goal_or_post(puck, table)
     hardest, to_x, to_y = -1.0, px, py
     for step in range(25):
         seconds = (step + 0.5) * DECISION
         if hardest >= 0.0 or seconds > until_goal - DECISION:
             break
-        x, y, vx, vy = _coast(puck, seconds, table)
+        x, y, vx, vy = puck_at(puck, seconds, table)
         if x > foremost:
             continue
         for bank in range(-1, 2):
@@ -210,7 +165,7 @@ def _defender(seen, table):
 @njit(cache=True)
 def _striker(seen, table):
     puck = seen[8:12]
-    too_fast = TOO_FAST if _until_goal(puck, table) == np.inf else TOO_FAST_ON_GOAL
+    too_fast = TOO_FAST if seconds_to_goal_or_post(puck, table) == np.inf else TOO_FAST_ON_GOAL
     if puck[2] > -too_fast:
         possible, x, y = _strike(seen, True, -STRIKER_HALF, table)
         if possible:

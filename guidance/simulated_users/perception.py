@@ -3,10 +3,11 @@
 All lengths here are meters of the table in the person's own frame: x toward the opponent, own goal at x = -length/2.
 """
 
-from math import cos, exp, expm1, hypot, log, log1p, pi, sin, sqrt
+from math import cos, expm1, hypot, log, log1p, pi, sqrt
 
 from numba import njit
 
+from airhockey_marl.envs.puck_path import rotate, step_expected_puck
 from airhockey_marl.envs.world import random_unit
 
 OWN, OTHER, PUCK = 0, 4, 8  # first column of each body in the 12 numbers of a state
@@ -32,11 +33,6 @@ def update_percept_noise(person, mind, rng, index):
     mind.bounce_error = kept * mind.bounce_error + fresh * standard_normal(rng, index)
 
 
-@njit(cache=True, inline="always")
-def _turn(vx, vy, angle):
-    return vx * cos(angle) - vy * sin(angle), vx * sin(angle) + vy * cos(angle)
-
-
 @njit(cache=True)
 def perceived_velocity(person, mind, vx, vy):
     """The puck's velocity in m/s as this person judges it: speed noise on a logarithmic scale, and heading noise."""
@@ -45,7 +41,7 @@ def perceived_velocity(person, mind, vx, vy):
         return 0.0, 0.0
     judged = log1p(speed * person.degrees_per_meter / person.weber_floor) + person.speed_noise * mind.speed_error
     ratio = max(person.weber_floor * expm1(judged) / person.degrees_per_meter, 0.0) / speed
-    return _turn(vx * ratio, vy * ratio, person.heading_noise * mind.heading_error)
+    return rotate(vx * ratio, vy * ratio, person.heading_noise * mind.heading_error)
 
 
 @njit(cache=True)
@@ -73,35 +69,14 @@ def predict_puck(person, mind, percept, delay, table, path):
     """
     x, y = percept[PUCK], percept[PUCK + 1]
     vx, vy = perceived_velocity(person, mind, percept[PUCK + 2], percept[PUCK + 3])
-    side, end = table.width / 2 - table.puck_radius, table.length / 2 - table.puck_radius
     bounces = person.foreseen_bounces if mind.sees_bounces else 0
+    bounce_turn = person.bounce_noise * mind.bounce_error
     scored = -1
     for row in range(LOOK_AHEAD):
-        seconds = delay if row == 0 else LOOK_AHEAD_STEP
-        kept = exp(-table.drag * seconds)
         if scored < 0:
-            x += vx * seconds * 0.5 * (1.0 + kept)
-            y += vy * seconds * 0.5 * (1.0 + kept)
-            vx *= kept
-            vy *= kept
-            if abs(y) > side:
-                wall = side if y > 0.0 else -side
-                if bounces > 0:
-                    bounces -= 1
-                    y = wall - table.wall_restitution * (y - wall)
-                    vx, vy = _turn(vx, -table.wall_restitution * vy, person.bounce_noise * mind.bounce_error)
-                else:  # not thought of: along the wall
-                    y, vy = wall, 0.0
-            if abs(x) > end:
-                if abs(y) < table.goal / 2:
-                    if x < 0.0:
-                        scored = row
-                else:
-                    wall = end if x > 0.0 else -end
-                    if bounces > 0:
-                        bounces -= 1
-                        x, vx = wall - table.wall_restitution * (x - wall), -table.wall_restitution * vx
-                    else:
-                        x, vx = wall, 0.0
+            seconds = delay if row == 0 else LOOK_AHEAD_STEP
+            x, y, vx, vy, bounces, in_goal = step_expected_puck(x, y, vx, vy, seconds, bounces, bounce_turn, table)
+            if in_goal:
+                scored = row
         path[row, 0], path[row, 1], path[row, 2], path[row, 3] = x, y, vx, vy
     return scored

@@ -9,6 +9,7 @@ from math import copysign, hypot, sqrt
 import numpy as np
 from numba import njit
 
+from airhockey_marl.envs.puck_path import shot_direction
 from guidance.simulated_users.arm import HAND_REACH, SHORTEST_PLAN, hardest_acceleration, start_of_plan
 from guidance.simulated_users.perception import LOOK_AHEAD, LOOK_AHEAD_STEP
 
@@ -51,22 +52,6 @@ def move_seconds(person, hand_x, hand_y, x, y, table):
 def guard_x(person, table):
     """The x of this person's home and line of defense."""
     return -table.length / 2 + person.guard_nearest + person.guard_range * person.guard_depth
-
-
-@njit(cache=True)
-def shot_direction(x, y, wall, aim_y, table):
-    """The unit vector from (x, y) to the place `aim_y` in the opponent's goal, over the side wall `wall` or direct.
-
-    A wall keeps only a part e of the speed across it, so the way back of width b counts as b / e.
-    """
-    ahead = table.length / 2 - x
-    if wall == DIRECT:
-        across = aim_y - y
-    else:
-        side = wall * (table.width / 2 - table.puck_radius)
-        across = (side - y) + (side - aim_y) / table.wall_restitution
-    size = hypot(ahead, across)
-    return ahead / size, across / size
 
 
 @njit(cache=True)

@@ -15,6 +15,7 @@ from math import hypot
 import numpy as np
 from numba import njit
 
+from airhockey_marl.envs.puck_path import BLOCKED, NO_OUTCOME, heads_for_goal, shot_outcome
 from airhockey_marl.experiment.validation import check_arrays, check_counts, check_rows, kind_of
 
 METRIC_COUNTERS = np.dtype(
@@ -51,25 +52,6 @@ def disagreement(force: np.ndarray, action_change: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
-def heads_for_goal(x, y, vx, vy, table):
-    """Whether a puck's path, carried on over the side walls, ends in the goal at x = -length / 2."""
-    if vx >= 0.0:
-        return False
-    time = (x + table.length / 2) / -vx
-    side = table.width / 2 - table.puck_radius
-    for _ in range(20):
-        if vy == 0.0:
-            break
-        until_wall = ((side if vy > 0.0 else -side) - y) / vy
-        if until_wall >= time:
-            break
-        y = side if vy > 0.0 else -side
-        vy *= -table.wall_restitution
-        time -= max(until_wall, 0.0)
-    return abs(y + vy * time) < table.goal / 2 - table.puck_radius
-
-
-@njit(cache=True)
 def _record_tick(sheet, before, after, by_user, by_opponent, served, goal, table):
     if by_user:
         sheet.users_puck = True
@@ -79,17 +61,11 @@ def _record_tick(sheet, before, after, by_user, by_opponent, served, goal, table
         sheet.smashes += 1
         sheet.smash_speed += hypot(after[2], after[3])
 
-    if goal < 0:  # conceded, and so a shot, whether it was seen coming or not
-        sheet.shots += 1
-        sheet.under_fire = False
-    elif served or goal > 0:
-        sheet.under_fire = False
-    else:
-        threat = heads_for_goal(after[0], after[1], after[2], after[3], table)
-        if sheet.under_fire and by_user and not threat:
-            sheet.shots += 1
-            sheet.blocked += 1
-        sheet.under_fire = threat
+    threat = not served and goal == 0 and heads_for_goal(after[0], after[1], after[2], after[3], table)
+    outcome = shot_outcome(sheet.under_fire, threat, by_user, served, goal)
+    sheet.shots += outcome != NO_OUTCOME  # a goal conceded was a shot, whether it was foreseen or not
+    sheet.blocked += outcome == BLOCKED
+    sheet.under_fire = threat
     if served or goal != 0:
         sheet.users_puck = False
     sheet.won += goal > 0

@@ -6,13 +6,14 @@ import numpy as np
 import torch
 
 from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.envs.puck_path import without_paddles
 from airhockey_marl.envs.world import World
-from airhockey_marl.evaluation.saves import NO_PADDLE, Saves, count_saves, record, would_score
+from airhockey_marl.evaluation.saves import Saves, count_saves, record
 from airhockey_marl.players.players import stochastic
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 
 TABLE = TableSpec()
-EMPTY = TABLE._replace(paddle_radius=NO_PADDLE)
+EMPTY = without_paddles(TABLE)
 HOME, ASIDE = (-0.6, 0.0, 0.0, 0.0), (-0.2, 0.45, 0.0, 0.0)  # a paddle before the goal, and out of the way
 ATTACKER = (0.3, 0.0, 0.0, 0.0)
 
@@ -39,38 +40,6 @@ def from_attacker(y, vx, vy):
     """A puck that bounces off the attacker's resting paddle in the first tick, toward the left."""
     reach = TABLE.puck_radius + TABLE.paddle_radius
     return (ATTACKER[0] - reach - 0.01, y, -vx / TABLE.paddle_restitution, vy)
-
-
-def test_the_physics_says_what_would_score():
-    for paddle in (ASIDE, HOME):  # whoever is in the way
-        assert would_score(bodies((0.2, 0.0, -3.0, 0.0), paddle), EMPTY)
-    assert not would_score(bodies((0.2, 0.3, -3.0, 0.0)), EMPTY)
-    assert not would_score(bodies((0.2, 0.0, 3.0, 0.3)), EMPTY)
-    assert not would_score(bodies((0.2, 0.0, -0.05, 0.0)), EMPTY)  # not within the foresight
-    side = TABLE.width / 2 - TABLE.puck_radius
-    rise = side * (1 + 1 / TABLE.wall_restitution)  # over the side wall, from the middle to the middle
-    slope = rise / (0.2 + TABLE.length / 2)
-    assert would_score(bodies((0.2, 0.0, -3.0, 3.0 * slope)), EMPTY)
-
-
-def test_asking_leaves_the_table_alone():
-    state = bodies((0.2, 0.1, -3.0, 0.5), HOME)
-    before = state.copy()
-    would_score(state, EMPTY)
-    assert np.array_equal(state, before)
-
-
-def test_paddles_that_are_taken_away_are_met_nowhere():
-    """A puck sent into a corner comes back as it does from bare walls."""
-    side, end = TABLE.width / 2 - TABLE.puck_radius, TABLE.length / 2 - TABLE.puck_radius
-    for sign in (-1, 1):
-        corner = bodies((-end + 0.05, sign * (side - 0.05), -2.0, sign * 2.0))
-        tables = World(1)
-        tables.new_rounds()
-        tables.bodies[0] = corner
-        tables.step(np.full((1, 2, 2), np.nan), 5)
-        assert tables.touched[0] == 0
-        assert would_score(corner, EMPTY) == would_score(tables.bodies[0], EMPTY)
 
 
 def test_a_shot_at_an_undefended_goal_is_conceded():

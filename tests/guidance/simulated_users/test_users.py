@@ -8,6 +8,7 @@ import pytest
 import yaml
 
 from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
+from airhockey_marl.envs.puck_path import shot_direction
 from airhockey_marl.envs.world import World
 from guidance.simulated_users import Population, SimulatedUsers, personal_streams, sample_people, training_people
 from guidance.simulated_users.arm import (
@@ -25,7 +26,7 @@ from guidance.simulated_users.perception import LOOK_AHEAD, LOOK_AHEAD_STEP, pre
 from guidance.simulated_users.population import TRAITS, LogNormal
 from guidance.simulated_users.ratings import RATINGS, SIGNALS, appraisals
 from guidance.simulated_users.state import USER_STATE
-from guidance.simulated_users.strokes import shot_direction, to_hand, to_table
+from guidance.simulated_users.strokes import to_hand, to_table
 from guidance.simulated_users.validation.rating_anchors import ANCHORS, anchor_scales, ordered, play_anchor
 from tests import ROOT
 

@@ -1,0 +1,247 @@
+"""The free puck: where it goes, when it crosses a line and whether it scores, as long as no paddle is in its way.
+
+One exact forecast and five cheaper ones, which differ in what they neglect (results depend on them bit by bit):
+
+function                side walls            end walls  drag         posts      used for
+would_score             physics               physics    physics      physics    shots that a policy saves
+puck_at                 restitution           as sides   first order  no         strikes of the scripted players
+line_crossing           restitution           no         no           no         where a scripted player blocks
+heads_for_goal,         restitution           no         no           as goal or the metrics, the meaning of a STD,
+  seconds_to_goal                                                     as wall    strikes of the scripted players
+goal_alignment          mirrors               no         no           no         reward shaping, in torch
+step_expected_puck      restitution, a few    as sides   exponential  as wall    what a simulated person expects
+
+Pucks are in an observer's frame, in m and m/s: x toward the opponent, the own goal at x = -length / 2.
+"""
+
+from math import copysign, cos, exp, hypot, sin
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec, X, Y, clamp, compiled, inlined, step_physics
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+MAX_BOUNCES = 8  # off the side walls; a path with more of them takes longer than any forecast reaches
+METRIC_BOUNCES = 20  # the same in `heads_for_goal`
+SHOT_HORIZON = 3.0  # s: a puck that has not scored by then is no shot
+NO_PADDLE = 1e-6  # m, radius of an absent paddle: a table must have two
+
+NO_OUTCOME, BLOCKED, CONCEDED = 0, 1, 2  # of a tick, for a shot
+
+
+@compiled
+def coordinate_at(place, velocity, seconds, wall, restitution, max_bounces):
+    """Place and velocity, in one dimension, of a puck between two walls at +-`wall` after `seconds`, without drag."""
+    for _ in range(max_bounces):
+        if velocity == 0.0:
+            break
+        until = max((copysign(wall, velocity) - place) / velocity, 0.0)
+        if until >= seconds:
+            break
+        place = copysign(wall, velocity)
+        velocity *= -restitution
+        seconds -= until
+    return clamp(place + velocity * seconds, -wall, wall), velocity
+
+
+@compiled
+def puck_at(puck, seconds, table):
+    """The puck (x, y, vx, vy) after `seconds`: x and y apart, drag to first order, the ends as walls without a goal."""
+    kept = 1.0 - table.drag * seconds
+    seconds *= 0.5 * (1.0 + kept)
+    end, side = table.length / 2 - table.puck_radius, table.width / 2 - table.puck_radius
+    x, vx = coordinate_at(puck[0], puck[2], seconds, end, table.wall_restitution, MAX_BOUNCES)
+    y, vy = coordinate_at(puck[1], puck[3], seconds, side, table.wall_restitution, MAX_BOUNCES)
+    return x, y, kept * vx, kept * vy
+
+
+@compiled
+def line_crossing(puck, line, table):
+    """Seconds until the puck crosses x = `line` on its way to the own end, inf if it does not, and its y there.
+
+    Without drag, which changes the time a little and the path not at all.
+    """
+    x, y, vx, vy = puck
+    if vx >= -table.stall_speed or x <= line:
+        return np.inf, y
+    seconds = (x - line) / -vx
+    side = table.width / 2 - table.puck_radius
+    return seconds, coordinate_at(y, vy, seconds, side, table.wall_restitution, MAX_BOUNCES)[0]
+
+
+@compiled
+def seconds_to_goal_or_post(puck, table):
+    """Seconds until the puck is in the own goal or on its posts; inf if it is slow or passes by."""
+    seconds, y = line_crossing(puck, -table.length / 2, table)
+    return seconds if abs(y) < table.goal / 2 + 0.5 * table.puck_radius else np.inf
+
+
+@inlined
+def _goal_line_crossing(x, y, vx, vy, max_bounces, table):
+    """Seconds until a puck with vx < 0 is at the own goal line, and its y there."""
+    seconds = (x + table.length / 2) / -vx
+    side = table.width / 2 - table.puck_radius
+    return seconds, coordinate_at(y, vy, seconds, side, table.wall_restitution, max_bounces)[0]
+
+
+@compiled
+def heads_for_goal(x, y, vx, vy, table):
+    """Whether the puck, at its present velocity and over the side walls, passes between the posts of the own goal."""
+    if vx >= 0.0:
+        return False
+    return abs(_goal_line_crossing(x, y, vx, vy, METRIC_BOUNCES, table)[1]) < table.goal / 2 - table.puck_radius
+
+
+@compiled
+def _seconds_to_goal(pucks, table, out):
+    for index in range(len(pucks)):
+        x, y, vx, vy = pucks[index]
+        out[index] = np.inf
+        if vx < 0.0:
+            seconds, crossing = _goal_line_crossing(x, y, vx, vy, MAX_BOUNCES, table)
+            if abs(crossing) < table.goal / 2:
+                out[index] = seconds
+
+
+def seconds_to_goal(observation: np.ndarray, table: TableSpec) -> np.ndarray:
+    """Seconds (...) until the puck's center is in the own goal, for observations (..., 12); inf if it does not score.
+
+    At its present velocity, over the side walls.
+    """
+    pucks = np.ascontiguousarray(observation[..., 8:12], dtype=np.float64).reshape(-1, 4)
+    out = np.empty(len(pucks))
+    _seconds_to_goal(pucks, table, out)
+    return out.reshape(observation.shape[:-1])
+
+
+def goal_alignment(observation: "Tensor", table: TableSpec) -> "Tensor":
+    """How well the puck is aimed at the goal at the end it moves to: (..., 1) for observations (..., 12).
+
+    1 in the middle of the goal, falling off as a Gaussian over its half width. The side walls are mirrors: the speed
+    lost in a bounce is neglected.
+    """
+    x, y, vx, vy = observation[..., 8:12].split(1, dim=-1)
+    side = table.width / 2 - table.puck_radius
+    seconds = (table.length / 2 - x * vx.sign()) / vx.abs().clamp(min=table.stall_speed)
+    unfolded = (y + vy * seconds + side).remainder(4 * side)  # one period there and back
+    crossing = side - (unfolded - 2 * side).abs()
+    return (-((crossing / (table.goal / 2)) ** 2)).exp()
+
+
+@inlined
+def rotate(vx, vy, angle):
+    """The vector (vx, vy) turned by `angle` rad."""
+    return vx * cos(angle) - vy * sin(angle), vx * sin(angle) + vy * cos(angle)
+
+
+@compiled
+def step_expected_puck(x, y, vx, vy, seconds, bounces, bounce_turn, table):
+    """Move an expected puck on by one short step: a bounce is noticed at the end of the step in which it happens.
+
+    Args:
+        x, y, vx, vy: the puck.
+        seconds: of the step.
+        bounces: off walls that are still thought of; after them the puck is expected to stay along the wall.
+        bounce_turn: rad, error of the direction in which the puck leaves a side wall.
+        table: the `TableSpec`.
+
+    Returns:
+        x, y, vx, vy, the bounces left, and whether the puck is in the own goal.
+    """
+    side, end = table.width / 2 - table.puck_radius, table.length / 2 - table.puck_radius
+    kept = exp(-table.drag * seconds)
+    x += vx * seconds * 0.5 * (1.0 + kept)
+    y += vy * seconds * 0.5 * (1.0 + kept)
+    vx *= kept
+    vy *= kept
+    if abs(y) > side:
+        wall = side if y > 0.0 else -side
+        if bounces > 0:
+            bounces -= 1
+            y = wall - table.wall_restitution * (y - wall)
+            vx, vy = rotate(vx, -table.wall_restitution * vy, bounce_turn)
+        else:
+            y, vy = wall, 0.0
+    scored = False
+    if abs(x) > end:
+        if abs(y) < table.goal / 2:
+            scored = x < 0.0
+        else:
+            wall = end if x > 0.0 else -end
+            if bounces > 0:
+                bounces -= 1
+                x, vx = wall - table.wall_restitution * (x - wall), -table.wall_restitution * vx
+            else:
+                x, vx = wall, 0.0
+    return x, y, vx, vy, bounces, scored
+
+
+@inlined
+def aim_offset(x, y, bank, aim_y, table):
+    """From (x, y) to the place `aim_y` in the opponent's goal, or to its image in a side wall: (ahead, across) in m.
+
+    `bank` is the wall that the shot takes: 1 the left one, -1 the right one, 0 none. A wall keeps only a part e of
+    the speed across it, so the way back from it counts as 1 / e of its width.
+    """
+    if bank == 0:
+        across = aim_y - y
+    else:
+        side = bank * (table.width / 2 - table.puck_radius)
+        across = (side - y) + (side - aim_y) / table.wall_restitution
+    return table.length / 2 - x, across
+
+
+@inlined
+def shot_direction(x, y, bank, aim_y, table):
+    """The unit vector of a shot from (x, y), see `aim_offset`."""
+    ahead, across = aim_offset(x, y, bank, aim_y, table)
+    distance = hypot(ahead, across)
+    return ahead / distance, across / distance
+
+
+def without_paddles(table: TableSpec) -> TableSpec:
+    """The table for `would_score`."""
+    return table._replace(paddle_radius=NO_PADDLE)
+
+
+@compiled
+def would_score(bodies, empty):
+    """Whether the puck of one table, `bodies` (3, 4), ends in the left goal within `SHOT_HORIZON` if nobody touches it.
+
+    Simulated by `step_physics` on the table `empty`, see `without_paddles`, whose paddles stay in the corners, out of
+    the puck's reach.
+    """
+    alone = np.zeros((3, 4))
+    alone[PUCK] = bodies[PUCK]
+    for seat in (LEFT, RIGHT):
+        alone[seat, X] = (-0.5 if seat == LEFT else 0.5) * empty.length
+        alone[seat, Y] = 0.5 * empty.width
+    targets = alone[:PUCK, :PUCK].copy()
+    for _ in range(round(SHOT_HORIZON / empty.tick)):
+        goal, _ = step_physics(alone, targets, empty)
+        if goal != 0:
+            return goal < 0
+    return False
+
+
+@inlined
+def shot_outcome(under_fire, threat, by_defender, served, goal):
+    """How one tick ends a shot on the left goal: `NO_OUTCOME`, `BLOCKED` or `CONCEDED`.
+
+    Blocked if the defender touched a puck that was on its way into the goal and no longer is, conceded if it scored.
+
+    Args:
+        under_fire: a shot was on its way before the tick.
+        threat: the free puck would score now; not looked at after a goal or a serve.
+        by_defender: the defender touched the puck in this tick.
+        served: the puck was served again.
+        goal: +1 in the right goal, -1 in the left one, 0 none.
+    """
+    if goal < 0:
+        return CONCEDED
+    if under_fire and by_defender and not threat and not served and goal == 0:
+        return BLOCKED
+    return NO_OUTCOME
