@@ -1,19 +1,22 @@
-"""Two-player air hockey, as a PettingZoo environment and as a batch of tables for TorchRL.
+"""Two-player air hockey as a PettingZoo environment (parallel API).
 
-Agents        `left` and `right`; both see the table from their own seat, so one model can play either.
-Observation   float32 (12,), in m and m/s from the table's center, x toward the opponent, y to one's left:
-                0-3   own paddle         x, y, vx, vy
-                4-7   opponent's paddle  x, y, vx, vy
-                8-11  puck               x, y, vx, vy
-Action        float32 (2,) in [-1, 1]: the desired position of the own paddle; 0 is the midpoint of the own side,
-              +-1 where the paddle meets the walls, the half-way line or the end (section 3.1 of the paper).
-Reward        +1 for a goal, -1 for a goal conceded, 0 otherwise.
-An episode    is a round: it terminates with a goal, and is truncated after `round_seconds`.
-A step        is one decision: `frame_skip` ticks of 20 ms, one unless asked for otherwise.
+Agents        `left` and `right`; each observes the table from its own end, so one model can play either.
+Observation   float32 (12,), in m and m/s from the table's center, x toward the opponent, y to the agent's left:
+                index  body               values
+                0-3    own paddle         x, y, vx, vy
+                4-7    opponent's paddle  x, y, vx, vy
+                8-11   puck               x, y, vx, vy
+Action        float32 (2,) in [-1, 1]: desired position of the own paddle, 0 at the midpoint of the own side, +-1 at
+              the bounds of the paddle's center (section 3.1 of the paper). Values outside are clipped, NaN means stay.
+Reward        +1 for a goal scored, -1 for a goal conceded, 0 otherwise.
+Episode       one round: terminates with a goal, is truncated after `round_seconds` (default 60 s).
+Step          `frame_skip` ticks of 20 ms with the same action (default 1).
+Start         paddles at rest at the midpoints of their sides; the puck is served from the half-way line.
+Info          `touched`: whether the agent's paddle hit the puck in this step.
 
-`AirHockey` is one table behind PettingZoo's parallel API; `AirHockeyEnv` is n tables behind TorchRL's `EnvBase`,
-with the keys that TorchRL's `PettingZooWrapper` gives. Both play on `tables.Tables`, and with the same seeds and
-actions their trajectories are equal bit for bit: table i of a batch seeded with s plays as an `AirHockey` with s + i.
+`torchrl_env.AirHockeyEnv` is a batch of n such tables behind TorchRL's `EnvBase`. Both play on `world.World`, and with
+the same seeds and actions their trajectories are equal bit for bit: table i of a batch seeded with s plays like an
+`AirHockey` seeded with s + i.
 """
 
 from typing import Any, ClassVar
@@ -24,18 +27,24 @@ from pettingzoo import ParallelEnv
 
 from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
 from airhockey_marl.envs.rendering import draw_table
-from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, SEATS, World, round_steps
+from airhockey_marl.envs.world import ACTION_SIZE, AGENTS, OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.experiment.validation import kind_of
 
 
 class AirHockey(ParallelEnv):
-    """One table, two agents; see the module's docstring for the spaces.
+    """One table with two agents; the module's docstring describes the spaces.
 
     Args:
-        round_seconds: a round is truncated after so long.
-        frame_skip: ticks for which an action is held.
-        table: sizes and limits; the defaults are those of `TableSpec`.
+        round_seconds: length of a round in s, after which it is truncated.
+        frame_skip: ticks per step.
+        table: sizes and limits; `TableSpec()` by default.
         render_mode: `None` or `"rgb_array"`.
+
+    Attributes:
+        world: the `World` of one table.
+
+    Raises:
+        ValueError: an argument is out of range.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"name": "air_hockey_v0", "render_modes": ["rgb_array"], "render_fps": 50}
@@ -49,16 +58,18 @@ class AirHockey(ParallelEnv):
     ) -> None:
         if render_mode not in (None, "rgb_array"):
             raise ValueError(f"render_mode = {render_mode!r} must be None or 'rgb_array'")
-        self.tables = World(1, table)
+        self.world = World(1, table)
         self.frame_skip = frame_skip
-        self.max_steps = round_steps(round_seconds, self.tables.table, frame_skip)
+        self.max_steps = round_steps(round_seconds, self.world.table, frame_skip)
         self.render_mode = render_mode
-        self.possible_agents = list(SEATS)
+        self.possible_agents = list(AGENTS)
         self.agents: list[str] = []
         self._steps = 0
         self._actions = np.zeros((1, 2, ACTION_SIZE), dtype=np.float32)
-        self.observation_spaces = {seat: Box(-np.inf, np.inf, (OBSERVATION_SIZE,), dtype=np.float32) for seat in SEATS}
-        self.action_spaces = {seat: Box(-1.0, 1.0, (ACTION_SIZE,), dtype=np.float32) for seat in SEATS}
+        self.observation_spaces = {
+            agent: Box(-np.inf, np.inf, (OBSERVATION_SIZE,), dtype=np.float32) for agent in AGENTS
+        }
+        self.action_spaces = {agent: Box(-1.0, 1.0, (ACTION_SIZE,), dtype=np.float32) for agent in AGENTS}
 
     def observation_space(self, agent: str) -> Box:
         return self.observation_spaces[agent]
@@ -67,31 +78,38 @@ class AirHockey(ParallelEnv):
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
-        """Begin a round; with `seed` the serves start from that seed, without it they go on."""
+        """Begin a round and return observations and infos; `seed` restarts the random numbers of the serves."""
         if seed is not None:
-            self.tables.seed(seed)
-        self.tables.new_rounds()
+            self.world.seed(seed)
+        self.world.new_rounds()
         self._steps = 0
-        self.agents = list(SEATS)
-        return self._observe(), {seat: {} for seat in SEATS}
+        self.agents = list(AGENTS)
+        return self._observe(), {agent: {} for agent in AGENTS}
 
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
-        """Play one step. Actions outside [-1, 1] are clipped; one that is not a number means stay."""
+        """Play one step; returns observations, rewards, terminations, truncations and infos by agent.
+
+        Raises:
+            RuntimeError: the round is over.
+            ValueError: an action is missing or not of shape (2,).
+        """
         if not self.agents:
             raise RuntimeError("the round is over: call reset() first")
         left, right = actions.get("left"), actions.get("right")
-        if not getattr(left, "shape", None) == getattr(right, "shape", None) == (ACTION_SIZE,):  # or lists of two
-            for seat in SEATS:
-                if np.shape(actions.get(seat)) != (ACTION_SIZE,):
-                    raise ValueError(f"actions[{seat!r}]: {kind_of(actions.get(seat))}, must be numbers of shape (2,)")
+        if not getattr(left, "shape", None) == getattr(right, "shape", None) == (ACTION_SIZE,):  # or sequences of two
+            for agent in AGENTS:
+                if np.shape(actions.get(agent)) != (ACTION_SIZE,):
+                    raise ValueError(
+                        f"actions[{agent!r}]: {kind_of(actions.get(agent))}, must be numbers of shape (2,)"
+                    )
         self._actions[0, LEFT], self._actions[0, RIGHT] = left, right
-        self.tables.step(self._actions, self.frame_skip)
+        self.world.step(self._actions, self.frame_skip)
         self._steps += 1
-        goal = int(self.tables.goals[0])
+        goal = int(self.world.goals[0])
         terminated, truncated = goal != 0, goal == 0 and self._steps >= self.max_steps
         if terminated or truncated:
             self.agents = []
-        touched = int(self.tables.touched[0])
+        touched = int(self.world.touched[0])
         return (
             self._observe(),
             {"left": float(goal), "right": float(-goal)},
@@ -101,11 +119,11 @@ class AirHockey(ParallelEnv):
         )
 
     def render(self) -> np.ndarray | None:
-        """The table from above as (height, width, 3) uint8, if `render_mode` asks for it."""
-        return None if self.render_mode is None else draw_table(self.tables.bodies[0], self.tables.table)
+        """The table from above as (height, width, 3) uint8; None unless `render_mode` is "rgb_array"."""
+        return None if self.render_mode is None else draw_table(self.world.bodies[0], self.world.table)
 
     def _observe(self) -> dict[str, np.ndarray]:
-        seen = np.empty((2, 1, OBSERVATION_SIZE), dtype=np.float32)
-        self.tables.observe(LEFT, seen[LEFT])
-        self.tables.observe(RIGHT, seen[RIGHT])
-        return {"left": seen[LEFT, 0], "right": seen[RIGHT, 0]}
+        observation = np.empty((2, 1, OBSERVATION_SIZE), dtype=np.float32)
+        self.world.observe(LEFT, observation[LEFT])
+        self.world.observe(RIGHT, observation[RIGHT])
+        return {"left": observation[LEFT, 0], "right": observation[RIGHT, 0]}

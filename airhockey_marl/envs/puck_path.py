@@ -216,9 +216,9 @@ def would_score(bodies, empty):
     """
     alone = np.zeros((3, 4))
     alone[PUCK] = bodies[PUCK]
-    for seat in (LEFT, RIGHT):
-        alone[seat, X] = (-0.5 if seat == LEFT else 0.5) * empty.length
-        alone[seat, Y] = 0.5 * empty.width
+    for agent in (LEFT, RIGHT):
+        alone[agent, X] = (-0.5 if agent == LEFT else 0.5) * empty.length
+        alone[agent, Y] = 0.5 * empty.width
     targets = alone[:PUCK, :PUCK].copy()
     for _ in range(round(SHOT_HORIZON / empty.tick)):
         goal, _ = step_physics(alone, targets, empty)

@@ -1,4 +1,4 @@
-"""The table from above, as pixels."""
+"""The table from above, in pixels."""
 
 from functools import lru_cache
 from typing import NamedTuple
@@ -7,20 +7,20 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec, X, Y
-from airhockey_marl.experiment.validation import check_arrays, check_counts
 
-# Okabe and Ito's palette: told apart by color-blind people too.
+# Okabe and Ito's palette, distinguishable by color-blind people.
 FELT, LINE, RIM, GOAL_MOUTH = (245, 246, 248), (170, 190, 205), (70, 78, 88), (255, 255, 255)
 COLORS = {LEFT: (0, 114, 178), RIGHT: (213, 94, 0), PUCK: (35, 35, 35)}
-SMOOTHING = 3  # drawn so many times larger, then scaled down
+SMOOTHING = 3  # factor of supersampling: pictures are drawn larger and then scaled down
 MARGIN = 0.04  # m of rim around the playing field
 
 
 class View(NamedTuple):
-    """Which pixel of a picture, `SMOOTHING` times too large, shows which place of the table.
+    """Map from positions on the table to pixels of a picture that is supersampled by `SMOOTHING`.
 
     Attributes:
-        width: pixels of the finished picture.
+        table: the `TableSpec`.
+        width: of the final picture in pixels.
     """
 
     table: TableSpec
@@ -28,20 +28,20 @@ class View(NamedTuple):
 
     @property
     def scale(self) -> float:
-        """Pixels per m."""
+        """Pixels per m of the supersampled picture."""
         return SMOOTHING * self.width / (self.table.length + 2 * MARGIN)
 
     @property
     def size(self) -> tuple[int, int]:
-        """Width and height in pixels."""
+        """Width and height of the supersampled picture in pixels."""
         return SMOOTHING * self.width, round((self.table.width + 2 * MARGIN) * self.scale)
 
     def pixel(self, x: float, y: float) -> tuple[float, float]:
-        """Of a place in m."""
+        """Pixel (x, y) of a position in m."""
         return (x + self.table.length / 2 + MARGIN) * self.scale, (self.table.width / 2 + MARGIN - y) * self.scale
 
     def box(self, x: float, y: float, radius: float, radius_y: float | None = None) -> tuple[float, ...]:
-        """Left, top, right and bottom of a circle, or with `radius_y` of an ellipse, of radii in m."""
+        """Left, top, right and bottom in pixels of a circle, or with `radius_y` of an ellipse; lengths in m."""
         radius_y = radius if radius_y is None else radius_y
         return *self.pixel(x - radius, y + radius_y), *self.pixel(x + radius, y - radius_y)
 
@@ -63,12 +63,12 @@ def _empty_table(view: View) -> Image.Image:
 
 
 def empty_table(view: View) -> Image.Image:
-    """A table without anything on it, `SMOOTHING` times too large, to draw on."""
+    """A new picture of the table without bodies, supersampled by `SMOOTHING`."""
     return _empty_table(view).copy()
 
 
 def draw_bodies(pen: ImageDraw.ImageDraw, view: View, bodies: np.ndarray) -> None:
-    """Draw the puck and the paddles, `bodies` (3, 4) or (3, 2); the left seat is blue, the right one orange."""
+    """Draw the puck and the paddles `bodies` (3, 4) or (3, 2): the left paddle blue, the right one orange."""
     for body in (PUCK, LEFT, RIGHT):
         radius = view.table.puck_radius if body == PUCK else view.table.paddle_radius
         pen.ellipse(view.box(bodies[body, X], bodies[body, Y], radius), fill=COLORS[body])
@@ -77,13 +77,7 @@ def draw_bodies(pen: ImageDraw.ImageDraw, view: View, bodies: np.ndarray) -> Non
 
 
 def draw_table(bodies: np.ndarray, table: TableSpec, width: int = 640) -> np.ndarray:
-    """Draw one table's `bodies` (3, 4); the left seat is blue, the right one orange.
-
-    Returns:
-        (height, width, 3) uint8.
-    """
-    check_arrays(bodies=(bodies, "3 4"))
-    check_counts(width=width)
+    """Picture (height, width, 3) uint8 of one table with `bodies` (3, 4), see `draw_bodies`."""
     view = View(table, width)
     image = empty_table(view)
     draw_bodies(ImageDraw.Draw(image), view, bodies)

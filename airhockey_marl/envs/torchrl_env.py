@@ -1,7 +1,7 @@
-"""Two-player air hockey as a batch of tables for TorchRL.
+"""Two-player air hockey as a TorchRL environment: n tables, stepped together.
 
-`AirHockeyEnv` is n tables behind `EnvBase`, with the keys that TorchRL's `PettingZooWrapper` gives; spaces and rules are
-those of `pettingzoo_env`, and with the same seeds and actions the trajectories are equal bit for bit.
+Spaces and rules are those of `pettingzoo_env`, the keys those of TorchRL's `PettingZooWrapper`; with the same seeds
+and actions the trajectories are equal bit for bit.
 """
 
 import warnings
@@ -16,20 +16,24 @@ from torchrl.envs import EnvBase, PettingZooWrapper, SerialEnv
 
 from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, SEATS, World, round_steps
+from airhockey_marl.envs.world import ACTION_SIZE, AGENTS, OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.experiment.validation import check_counts
 
 
 class AirHockeyEnv(EnvBase):
-    """n tables stepped together, batch size (n,), with `PettingZooWrapper`'s keys: (seat, "observation") and so on.
+    """A batch of n tables, batch size (n,).
 
-    Each seat is a group of one agent, hence the dimension of size 1: (n, 1, 12) observations, (n, 1, 2) actions,
-    (n, 1, 1) rewards; done, terminated and truncated are (n, 1) and shared.
+    Each agent is a group of its own, hence the dimension of size 1. Keys, for `agent` "left" and "right":
+        (agent, "observation") (n, 1, 12), (agent, "action") (n, 1, 2) and (agent, "reward") (n, 1, 1), float32;
+        "done", "terminated" and "truncated" (n, 1) bool, shared by both agents.
 
     Args:
-        n: tables.
+        n: number of tables.
         round_seconds, frame_skip, table: as for `AirHockey`.
-        seed: of the serves.
+        seed: of the serves; table i gets `seed` + i.
+
+    Raises:
+        ValueError: an argument is out of range.
     """
 
     _has_frame_skip = True  # `_step` skips frames itself; without this `EnvBase` would wrap it in a FrameSkipTransform
@@ -45,96 +49,96 @@ class AirHockeyEnv(EnvBase):
         check_counts(tables=n)
         check_counts(0, seed=0 if seed is None else seed)
         super().__init__(device="cpu", batch_size=[n])
-        self.tables = World(n, table)
+        self.world = World(n, table)
         self.frame_skip = frame_skip
-        self.max_steps = round_steps(round_seconds, self.tables.table, frame_skip)
+        self.max_steps = round_steps(round_seconds, self.world.table, frame_skip)
         self._steps = np.zeros(n, dtype=np.int64)
         self._actions = np.zeros((n, 2, ACTION_SIZE), dtype=np.float32)
 
-        def per_seat(**specs: Any) -> Composite:
-            seats = {seat: Composite(**{k: v.clone() for k, v in specs.items()}, shape=[n, 1]) for seat in SEATS}
-            return Composite(**seats, shape=[n])
+        def per_agent(**specs: Any) -> Composite:
+            groups = {agent: Composite(**{k: v.clone() for k, v in specs.items()}, shape=[n, 1]) for agent in AGENTS}
+            return Composite(**groups, shape=[n])
 
-        self.observation_spec = per_seat(observation=Unbounded([n, 1, OBSERVATION_SIZE], dtype=torch.float32))
-        self.action_spec = per_seat(action=Bounded(-1.0, 1.0, [n, 1, ACTION_SIZE], dtype=torch.float32))
-        self.reward_spec = per_seat(reward=Unbounded([n, 1, 1], dtype=torch.float32))
+        self.observation_spec = per_agent(observation=Unbounded([n, 1, OBSERVATION_SIZE], dtype=torch.float32))
+        self.action_spec = per_agent(action=Bounded(-1.0, 1.0, [n, 1, ACTION_SIZE], dtype=torch.float32))
+        self.reward_spec = per_agent(reward=Unbounded([n, 1, 1], dtype=torch.float32))
         flag = Categorical(2, shape=[n, 1], dtype=torch.bool)
         self.done_spec = Composite(done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=[n])
         self.set_seed(seed if seed is not None else 0)
 
     def _set_seed(self, seed: int | None) -> None:
-        self.tables.seed(0 if seed is None else seed)
+        self.world.seed(0 if seed is None else seed)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
-        which = None
+        mask = None
         if tensordict is not None and "_reset" in tensordict:
-            which = tensordict["_reset"].view(-1).numpy()
-            self._steps[which] = 0
+            mask = tensordict["_reset"].view(-1).numpy()
+            self._steps[mask] = 0
         else:
             self._steps[:] = 0
-        self.tables.new_rounds(which)
-        over = np.zeros(self.tables.n, dtype=bool)
-        return self._seen(self._flags(over, over))
+        self.world.new_rounds(mask)
+        done = np.zeros(self.world.n, dtype=bool)
+        return self._observe(self._flags(done, done))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
-        for index, seat in enumerate(SEATS):
-            self._actions[:, index] = tensordict[seat, "action"].view(-1, ACTION_SIZE).numpy()
-        self.tables.step(self._actions, self.frame_skip)
+        for index, agent in enumerate(AGENTS):
+            self._actions[:, index] = tensordict[agent, "action"].view(-1, ACTION_SIZE).numpy()
+        self.world.step(self._actions, self.frame_skip)
         self._steps += 1
-        terminated = self.tables.goals != 0
-        seen = self._seen(self._flags(terminated, ~terminated & (self._steps >= self.max_steps)))
-        reward = torch.from_numpy(self.tables.goals.astype(np.float32)).view(-1, 1, 1)
-        seen["left"].set("reward", reward)
-        seen["right"].set("reward", -reward)
-        return seen
+        terminated = self.world.goals != 0
+        result = self._observe(self._flags(terminated, ~terminated & (self._steps >= self.max_steps)))
+        reward = torch.from_numpy(self.world.goals.astype(np.float32)).view(-1, 1, 1)
+        result["left"].set("reward", reward)
+        result["right"].set("reward", -reward)
+        return result
 
     def _flags(self, terminated: np.ndarray, truncated: np.ndarray) -> dict[str, torch.Tensor]:
-        over = {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
-        return {name: torch.from_numpy(flag.copy()).view(-1, 1) for name, flag in over.items()}
+        flags = {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
+        return {name: torch.from_numpy(flag.copy()).view(-1, 1) for name, flag in flags.items()}
 
-    def _seen(self, flags: dict[str, torch.Tensor]) -> TensorDictBase:
-        n = self.tables.n
-        seats = {}
-        for index, seat in enumerate(SEATS):
-            seen = self.tables.observe(index, np.empty((n, OBSERVATION_SIZE), dtype=np.float32))
-            seats[seat] = TensorDict({"observation": torch.from_numpy(seen).view(n, 1, -1)}, [n, 1])
-        return TensorDict({**seats, **flags}, [n])
+    def _observe(self, flags: dict[str, torch.Tensor]) -> TensorDictBase:
+        n = self.world.n
+        groups = {}
+        for index, agent in enumerate(AGENTS):
+            observation = self.world.observe(index, np.empty((n, OBSERVATION_SIZE), dtype=np.float32))
+            groups[agent] = TensorDict({"observation": torch.from_numpy(observation).view(n, 1, -1)}, [n, 1])
+        return TensorDict({**groups, **flags}, [n])
 
 
 def make_env(
     backend: str, tables: int, round_seconds: float, frame_skip: int, seed: int, table: TableSpec | None = None
 ) -> EnvBase:
-    """The batch of tables a collector steps.
+    """The environment of a collector: a batch of tables.
 
     Args:
-        backend: `"batched"` for `AirHockeyEnv`, `"pettingzoo"` for that many `AirHockey` in a `SerialEnv`: the
-            same trajectories, slowly, which is what one would use to put another PettingZoo game in this place.
+        backend: `"batched"` for `AirHockeyEnv`; `"pettingzoo"` for `tables` copies of `AirHockey` in a `SerialEnv`,
+            with the same trajectories but slower: the way to use another PettingZoo game.
 
     Raises:
-        ValueError: an unknown backend.
+        ValueError: an unknown backend, or a number is out of range.
     """
     check_counts(tables=tables)
     check_counts(0, seed=seed)
     if backend == "batched":
         return AirHockeyEnv(tables, round_seconds, frame_skip, table, seed)
     if backend == "pettingzoo":
-        games = [partial(_wrapped, round_seconds, frame_skip, table, seed + i) for i in range(tables)]
-        env = SerialEnv(tables, games)
+        makers = [partial(_wrapped, round_seconds, frame_skip, table, seed + i) for i in range(tables)]
+        env = SerialEnv(tables, makers)
         env.start()
         return env
     raise ValueError(f"env.backend = {backend!r} must be 'batched' or 'pettingzoo'")
 
 
 def serve_rng_states(env: EnvBase) -> list[np.ndarray]:
-    """The random numbers of the tables of `make_env`, as views (uint64) to read and to set."""
-    games = [env] if isinstance(env, AirHockeyEnv) else [wrapped.unwrapped for wrapped in env._envs]
-    return [game.tables.rng for game in games]
+    """States of the serves' random numbers in an environment of `make_env`: uint64 views, to read and to set."""
+    envs = [env] if isinstance(env, AirHockeyEnv) else [wrapped.unwrapped for wrapped in env._envs]
+    return [each.world.rng for each in envs]
 
 
 def _wrapped(round_seconds: float, frame_skip: int, table: TableSpec | None, seed: int) -> EnvBase:
-    with warnings.catch_warnings():  # TorchRL was tested with PettingZoo 1.24.3; our tests cover the one installed
+    with warnings.catch_warnings():  # TorchRL is tested with PettingZoo 1.24.3 only
         warnings.filterwarnings("ignore", message="PettingZoo in TorchRL is tested")
         game = AirHockey(round_seconds, frame_skip, table)
-        env = PettingZooWrapper(game, group_map={seat: [seat] for seat in SEATS}, use_mask=False)
-    game.tables.seed(seed)  # not set_seed: it would play a serve
+        env = PettingZooWrapper(game, group_map={agent: [agent] for agent in AGENTS}, use_mask=False)
+    game.world.seed(seed)  # set_seed would reset, and so draw a serve
     return env

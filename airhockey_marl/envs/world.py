@@ -1,4 +1,4 @@
-"""Tables side by side: rounds and serves, the referee, what each seat sees, and one step for all of them."""
+"""n tables side by side: serves, rounds, the referee, observations, and the step of all tables."""
 
 from math import cos, floor, hypot, pi, sin
 from numbers import Integral
@@ -26,7 +26,7 @@ from airhockey_marl.experiment.validation import check_counts, check_numbers, ch
 
 @compiled
 def random_unit(rng, index):
-    """A uniform number in [0, 1) from the table's own stream: splitmix64 (Steele et al. 2014) on `rng[index]`."""
+    """A uniform number in [0, 1) from the stream `rng[index]`, by splitmix64 (Steele et al. 2014)."""
     rng[index] += np.uint64(0x9E3779B97F4A7C15)
     bits = rng[index]
     bits = (bits ^ (bits >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
@@ -37,7 +37,7 @@ def random_unit(rng, index):
 
 @compiled
 def serve(bodies, rng, index, table):
-    """Put the puck on the half-way line, at a random place, moving toward a random side; the paddles stay."""
+    """Serve: put the puck on the half-way line with random y, side, angle and speed; the paddles stay."""
     puck = bodies[PUCK]
     side = table.width / 2 - table.puck_radius
     speed = table.serve_speed_low + (table.serve_speed_high - table.serve_speed_low) * random_unit(rng, index)
@@ -47,60 +47,60 @@ def serve(bodies, rng, index, table):
     puck[VX], puck[VY] = speed * cos(angle), speed * sin(angle)
     puck[X] = 0.0
     touching = table.puck_radius + table.paddle_radius
-    for _ in range(8):  # not onto a paddle that waits at the line
+    for _ in range(8):  # not onto a paddle at the line
         puck[Y] = (2.0 * random_unit(rng, index) - 1.0) * 0.8 * side
         free = True
-        for seat in (LEFT, RIGHT):
-            free = free and hypot(puck[X] - bodies[seat, X], puck[Y] - bodies[seat, Y]) > touching
+        for agent in (LEFT, RIGHT):
+            free = free and hypot(puck[X] - bodies[agent, X], puck[Y] - bodies[agent, Y]) > touching
         if free:
             break
 
 
 @compiled
-def new_round(bodies, watch, rng, index, table):
-    """Begin a round: both paddles at rest in the middle of their side, and a serve."""
+def new_round(bodies, timers, rng, index, table):
+    """Begin a round: both paddles at rest in the middle of their sides, and a serve."""
     bodies[:, :] = 0.0
     bodies[LEFT, X], bodies[RIGHT, X] = -table.length / 4, table.length / 4
-    watch[:] = 0.0
+    timers[:] = 0.0
     serve(bodies, rng, index, table)
 
 
 @compiled
-def _new_rounds(bodies, watch, rng, which, values):
+def _new_rounds(bodies, timers, rng, mask, values):
     table = TableSpec(*values)
     for index in range(len(bodies)):
-        if which[index]:
-            new_round(bodies[index], watch[index], rng, index, table)
+        if mask[index]:
+            new_round(bodies[index], timers[index], rng, index, table)
 
 
 @compiled
-def referee(bodies, watch, rng, index, table):
-    """After a tick without a goal: serve again if the puck has stalled, or was kept in one half for too long.
+def referee(bodies, timers, rng, index, table):
+    """Serve again, after a tick without a goal, if the puck has stalled or was kept in one half for too long.
 
-    `watch` (3,) is what the referee remembers: seconds stalled, seconds in this half, and which half (-1, 0, 1).
+    `timers` (3,) holds the seconds stalled, the seconds in the present half, and that half (-1, 1, or 0 for none yet).
     Returns whether it served.
     """
     puck = bodies[PUCK]
-    watch[0] = watch[0] + table.tick if hypot(puck[VX], puck[VY]) < table.stall_speed else 0.0
+    timers[0] = timers[0] + table.tick if hypot(puck[VX], puck[VY]) < table.stall_speed else 0.0
     half = 1.0 if puck[X] > 0.0 else -1.0
-    watch[1] = watch[1] + table.tick if half == watch[2] else 0.0
-    watch[2] = half
-    if watch[0] < table.stall_seconds and watch[1] < table.possession_seconds:
+    timers[1] = timers[1] + table.tick if half == timers[2] else 0.0
+    timers[2] = half
+    if timers[0] < table.stall_seconds and timers[1] < table.possession_seconds:
         return False
-    watch[:] = 0.0
+    timers[:] = 0.0
     serve(bodies, rng, index, table)
     return True
 
 
 @compiled
-def _play_table(index, bodies, watch, rng, actions, ticks, goals, touched, served, values):
+def _play_table(index, bodies, timers, rng, actions, ticks, goals, touched, served, values):
     table = TableSpec(*values)
     targets = np.empty((2, 2))
     half_x, half_y = table.length / 4 - table.paddle_radius, table.width / 2 - table.paddle_radius
-    for seat in (LEFT, RIGHT):
-        turn = 1.0 if seat == LEFT else -1.0
-        targets[seat, X] = turn * (clamp(actions[index, seat, X], -1.0, 1.0) * half_x - table.length / 4)
-        targets[seat, Y] = turn * (clamp(actions[index, seat, Y], -1.0, 1.0) * half_y)
+    for agent in (LEFT, RIGHT):
+        turn = 1.0 if agent == LEFT else -1.0
+        targets[agent, X] = turn * (clamp(actions[index, agent, X], -1.0, 1.0) * half_x - table.length / 4)
+        targets[agent, Y] = turn * (clamp(actions[index, agent, Y], -1.0, 1.0) * half_y)
     goals[index], touched[index], served[index] = 0, 0, False
     for _ in range(ticks):
         goal, touch = step_physics(bodies[index], targets, table)
@@ -108,39 +108,50 @@ def _play_table(index, bodies, watch, rng, actions, ticks, goals, touched, serve
         if goal != 0:
             goals[index] = goal
             break
-        served[index] |= referee(bodies[index], watch[index], rng, index, table)
+        served[index] |= referee(bodies[index], timers[index], rng, index, table)
 
 
 @njit(cache=True, nogil=True)
-def _play_tables(rows, bodies, watch, rng, actions, ticks, goals, touched, served, values):
-    for index in rows:
-        _play_table(index, bodies, watch, rng, actions, ticks, goals, touched, served, values)
+def _play_tables(indices, bodies, timers, rng, actions, ticks, goals, touched, served, values):
+    for index in indices:
+        _play_table(index, bodies, timers, rng, actions, ticks, goals, touched, served, values)
 
 
 @compiled
-def observe(bodies, seat, out):
-    """Write the 12 numbers a seat sees into `out` (n, 12): own paddle, other paddle, puck, each x, y, vx, vy.
+def observe(bodies, agent, out):
+    """Write an agent's observations of n tables into `out` (n, 12): own paddle, other paddle, puck, each x, y, vx, vy.
 
-    In m and m/s from the table's center, x toward the opponent: the right seat sees the table after a half turn, so
-    one model can play either seat.
+    In m and m/s from the table's center, x toward the opponent: the right agent observes the table after a half turn,
+    so one model can play either side.
     """
-    turn = 1.0 if seat == LEFT else -1.0
+    turn = 1.0 if agent == LEFT else -1.0
     for index in range(len(bodies)):
         for column in range(4):
-            out[index, column] = turn * bodies[index, seat, column]
-            out[index, 4 + column] = turn * bodies[index, 1 - seat, column]
+            out[index, column] = turn * bodies[index, agent, column]
+            out[index, 4 + column] = turn * bodies[index, 1 - agent, column]
             out[index, 8 + column] = turn * bodies[index, PUCK, column]
 
 
-WHOLE = (int, np.integer)  # a tuple, made once: what is asked of every step
+INTEGERS = (int, np.integer)  # made once: `step` checks against it every time
 
 
 class World:
-    """n tables side by side, each with its own stream of random numbers.
+    """n independent tables, stepped together.
+
+    Table i has its own stream of random numbers, so its play does not depend on the other tables.
+
+    Args:
+        n: number of tables.
+        table: sizes and limits of all tables; `TableSpec()` by default.
 
     Attributes:
-        bodies: (n, 3, 4) float64, see the module's docstring.
-        goals, touched, served: (n,) what the last `step` brought: +1/-1/0, bits of `TOUCHED_BY`, bool.
+        table: the `TableSpec`.
+        bodies: (n, 3, 4) float64, the state: left paddle, right paddle and puck, each x, y, vx, vy in m and m/s.
+        goals: (n,) int64, +1 if the left agent scored in the last `step`, -1 if the right one did, 0 otherwise.
+        touched: (n,) int64, bits of `TOUCHED_BY`: the agents that hit the puck in the last `step`.
+        served: (n,) bool, the puck was served again in the last `step`.
+        timers: (n, 3) float64, the referee's memory, see `referee`.
+        rng: (n,) uint64, states of the random numbers.
     """
 
     PARALLEL_FROM = 256  # tables; below, starting the threads costs more than they save
@@ -152,7 +163,7 @@ class World:
         self._values = tuple(self.table)  # numba takes a plain tuple faster than a NamedTuple, by 1.5 us a call
         self._all = np.arange(n)
         self.bodies = np.zeros((n, 3, 4))
-        self.watch = np.zeros((n, 3))
+        self.timers = np.zeros((n, 3))
         self.rng = np.zeros(n, dtype=np.uint64)
         self.goals = np.zeros(n, dtype=np.int64)
         self.touched = np.zeros(n, dtype=np.int64)
@@ -160,65 +171,59 @@ class World:
         self.seed(0)
 
     def seed(self, seed: int) -> None:
-        """Give table i the stream of seed + i, as vector environments do."""
+        """Seed the random numbers: table i gets `seed` + i, as in vector environments."""
         if not isinstance(seed, Integral):
             raise ValueError(f"seed = {seed!r} must be a whole number")
         seeds = np.arange(self.n, dtype=np.uint64) + np.uint64(seed % 2**63)
         self.rng[:] = (seeds + np.uint64(1)) * np.uint64(0xD1342543DE82EF95)  # far apart in splitmix64's period
 
-    def new_rounds(self, which: np.ndarray | None = None) -> None:
-        """Begin a round at the tables of the boolean mask `which` (n,); at all of them without it."""
-        which = np.ones(self.n, dtype=bool) if which is None else which
-        if not isinstance(which, np.ndarray) or which.shape != (self.n,) or which.dtype != bool:
-            raise ValueError(f"which: {kind_of(which)}, must be bools of shape {(self.n,)}")
-        _new_rounds(self.bodies, self.watch, self.rng, which, self._values)
+    def new_rounds(self, mask: np.ndarray | None = None) -> None:
+        """Begin a round at the tables of a boolean mask (n,), by default at all."""
+        mask = np.ones(self.n, dtype=bool) if mask is None else mask
+        if not isinstance(mask, np.ndarray) or mask.shape != (self.n,) or mask.dtype != bool:
+            raise ValueError(f"mask: {kind_of(mask)}, must be bools of shape {(self.n,)}")
+        _new_rounds(self.bodies, self.timers, self.rng, mask, self._values)
 
-    def step(self, actions: np.ndarray, ticks: int = 1, rows: np.ndarray | None = None) -> None:
-        """Play a tick, or several with the same actions; a table stops at a goal.
+    def step(self, actions: np.ndarray, ticks: int = 1, indices: np.ndarray | None = None) -> None:
+        """Play one tick, or several with the same actions; a table stops at a goal.
 
-        `actions` (n, 2, 2) float is the wanted paddle position of each seat, egocentric, in [-1, 1]. `rows` (int64)
-        are the tables that play, all of them if None; at the others time stands still.
+        Args:
+            actions: (n, 2, 2) float, for each agent the desired position of its paddle, egocentric, in [-1, 1];
+                values outside are clipped, NaN means stay.
+            ticks: of `table.tick` seconds.
+            indices: (k,) int64, the tables to step, by default all; the others do not change.
 
         Raises:
-            ValueError: a shape, a type or a number is another one: compiled code would write where nothing is.
+            ValueError: an argument has another type, shape or range. Compiled code would access foreign memory.
         """
         if not isinstance(actions, np.ndarray) or actions.shape != (self.n, 2, 2) or actions.dtype.kind != "f":
             raise ValueError(f"actions: {kind_of(actions)}, must be an array of floats of shape {(self.n, 2, 2)}")
-        if rows is None:
-            rows = self._all
+        if indices is None:
+            indices = self._all
         else:
-            check_rows("rows", rows, self.n)
-        if not isinstance(ticks, WHOLE) or ticks < 0:
+            check_rows("indices", indices, self.n)
+        if not isinstance(ticks, INTEGERS) or ticks < 0:
             raise ValueError(f"ticks = {ticks!r} must be a whole number of at least 0")
-        arguments = (
-            self.bodies,
-            self.watch,
-            self.rng,
-            actions,
-            ticks,
-            self.goals,
-            self.touched,
-            self.served,
-            self._values,
-        )
-        parallel_for(_play_tables, rows, *arguments, least=self.PARALLEL_FROM // 2)
+        results = self.goals, self.touched, self.served
+        arguments = (self.bodies, self.timers, self.rng, actions, ticks, *results, self._values)
+        parallel_for(_play_tables, indices, *arguments, least=self.PARALLEL_FROM // 2)
 
-    def observe(self, seat: int, out: np.ndarray) -> np.ndarray:
-        """Write what `seat` sees into `out` (n, 12) and return it."""
-        if seat not in (LEFT, RIGHT):
-            raise ValueError(f"seat = {seat!r} must be {LEFT} or {RIGHT}")
+    def observe(self, agent: int, out: np.ndarray) -> np.ndarray:
+        """Write the observations of `agent` (`LEFT` or `RIGHT`) into `out` (n, 12) and return it; see `observe`."""
+        if agent not in (LEFT, RIGHT):
+            raise ValueError(f"agent = {agent!r} must be {LEFT} or {RIGHT}")
         if not isinstance(out, np.ndarray) or out.shape != (self.n, 12) or out.dtype.kind != "f":
             raise ValueError(f"out: {kind_of(out)}, must be an array of floats of shape {(self.n, 12)}")
-        observe(self.bodies, seat, out)
+        observe(self.bodies, agent, out)
         return out
 
 
-SEATS = ("left", "right")
+AGENTS = ("left", "right")
 OBSERVATION_SIZE, ACTION_SIZE = 12, 2
 
 
 def round_steps(round_seconds: float, table: TableSpec, frame_skip: int = 1) -> int:
-    """Steps in `round_seconds`.
+    """Number of steps of `frame_skip` ticks in `round_seconds`.
 
     Raises:
         ValueError: less than one step, or a step of less than a tick.

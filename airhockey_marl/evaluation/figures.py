@@ -19,7 +19,7 @@ from PIL import Image
 from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.rendering import draw_table
-from airhockey_marl.envs.world import SEATS
+from airhockey_marl.envs.world import AGENTS
 from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.evaluation.policy_std import SITUATIONS
 from airhockey_marl.evaluation.ratings import Proportion, win_rates
@@ -277,10 +277,10 @@ def film(
     )
     game = AirHockey(frame_skip=frame_skip)
     seen, _ = game.reset(seed)
-    between = frame_skip * game.tables.table.tick
-    players, pictures, palette = dict(zip(SEATS, (left, right), strict=True)), [], None
+    between = frame_skip * game.world.table.tick
+    players, pictures, palette = dict(zip(AGENTS, (left, right), strict=True)), [], None
     for _ in range(max(1, round(seconds / between))):
-        picture = Image.fromarray(draw_table(game.tables.bodies[0], game.tables.table, width))
+        picture = Image.fromarray(draw_table(game.world.bodies[0], game.world.table, width))
         palette = palette or picture.quantize(32)  # one for all pictures: they flicker otherwise
         pictures.append(picture.quantize(palette=palette, dither=Image.Dither.NONE))
         if not game.agents:

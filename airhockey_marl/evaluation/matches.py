@@ -10,7 +10,7 @@ from airhockey_marl.envs.world import OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.experiment.validation import check_counts
 from airhockey_marl.league.league import OpponentBatch, PlayerId
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.players.players import Player, answer, stochastic
+from airhockey_marl.players.players import Player, act, stochastic
 
 FRAME_SKIP = 2  # a decision is held for so many ticks, in training (conf/env) and in matches
 
@@ -57,7 +57,7 @@ def play_rounds(
     score, steps = np.zeros((tables, 3), dtype=np.int64), np.zeros(tables, dtype=np.int64)
     while (score.sum(axis=1) < rounds).any():
         for seat, player in ((LEFT, left), (RIGHT, right)):
-            actions[:, seat] = answer(player, games.observe(seat, seen[seat]))
+            actions[:, seat] = act(player, games.observe(seat, seen[seat]))
         games.step(actions, frame_skip)
         steps += 1
         over = (games.goals != 0) | (steps >= longest)

@@ -25,7 +25,7 @@ from airhockey_marl.envs.puck_path import seconds_to_goal
 from airhockey_marl.envs.world import OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.experiment.validation import check_counts, check_numbers
-from airhockey_marl.players.players import Player, answer
+from airhockey_marl.players.players import Player, act
 
 SAVE_SECONDS, STRIKE_SECONDS, FAR = 0.4, 0.2, 0.8  # s, s, m
 SITUATIONS = ("before a save", "before a strike", "puck far away", "otherwise")
@@ -85,7 +85,7 @@ def record(
         mean[now], std[now] = its_mean, its_std
         action[now] = its_mean + its_std * torch.randn(its_mean.shape, generator=generator)
         both[:, LEFT] = action[now]
-        both[:, RIGHT] = answer(opponent, games.observe(RIGHT, facing))
+        both[:, RIGHT] = act(opponent, games.observe(RIGHT, facing))
         games.step(both, frame_skip)
         steps += 1
         over = (games.goals != 0) | (steps >= longest)

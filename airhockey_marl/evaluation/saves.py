@@ -19,7 +19,7 @@ from airhockey_marl.envs.puck_path import BLOCKED, CONCEDED, shot_outcome, witho
 from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.experiment.validation import check_counts
-from airhockey_marl.players.players import Player, answer
+from airhockey_marl.players.players import Player, act
 
 
 class Saves(NamedTuple):
@@ -81,7 +81,7 @@ def count_saves(
     actions = np.empty((rounds, 2, ACTION_SIZE), dtype=np.float32)
     for _ in range(round_steps(round_seconds, tables.table, frame_skip)):
         for seat, chooser in ((LEFT, player), (RIGHT, attacker)):
-            actions[:, seat] = answer(chooser, tables.observe(seat, seen[seat]))
+            actions[:, seat] = act(chooser, tables.observe(seat, seen[seat]))
         for _ in range(frame_skip):
             tables.step(actions)
             record(under_fire, counts, tables.bodies, tables.goals, tables.touched, tables.served, empty)

@@ -83,7 +83,7 @@ class League:
 
     def save(self, path: Path | str) -> None:
         """Write every generation to a safetensors file."""
-        save_tensors(path, self.stacked(), self.policy.facts)
+        save_tensors(path, self.stacked(), self.policy.architecture)
 
     @classmethod
     def load(cls, path: Path | str) -> "League":
@@ -94,7 +94,7 @@ class League:
         """
         tensors, facts = load_tensors(path)
         try:
-            return cls.from_stacked(GaussianPolicy.from_facts(facts), tensors)
+            return cls.from_stacked(GaussianPolicy.from_architecture(facts), tensors)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 

@@ -1,4 +1,4 @@
-"""The paper's model (Figure 3): a game state in, the mean and the standard deviation of an action out."""
+"""The networks: the paper's Gaussian policy (Figure 3), the critic, and the scaling of their inputs."""
 
 import itertools
 from collections.abc import Mapping, Sequence
@@ -7,25 +7,28 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from airhockey_marl.experiment.validation import check_counts, check_tensors
+from airhockey_marl.experiment.validation import check_tensors
 
-OPTIMAL_ACTION_HIDDEN = (64, 64)  # section 3.2.1: what the paper's grid search found
+OPTIMAL_ACTION_HIDDEN = (64, 64)  # section 3.2.1, from the paper's grid search
 USER_PREDICTION_HIDDEN = (80, 80, 80, 80)
 
-MOST_WEIGHTS = 10_000_000  # of a network; the paper's has 20 thousand
+MAX_WEIGHTS = 10_000_000  # of a network; the paper's has 20 thousand
 
-# An observation's numbers divided by these are about 1: half a table's length and width in m, fast paddles in m/s.
-# Constants rather than running statistics, which would move under a frozen opponent's feet.
+# Scale of x, y, vx, vy: half a table's length and width in m, the speed of a fast paddle in m/s. Constants, as running
+# statistics would change the inputs of frozen opponents.
 BODY_SCALE = (0.97, 0.52, 3.0, 3.0)
-STROKE = 0.3  # m, the scale of the puck's place as seen from the paddle: a stroke is decided by centimeters
-TABLE, PADDLE = "table", "paddle"  # where the puck's place is measured from
+STROKE = 0.3  # m, scale of the puck's position relative to the paddle: a stroke is decided by centimeters
+TABLE, PADDLE = "table", "paddle"  # origins of the puck's position
 
 
 class ObservationScaling(nn.Module):
-    """Observations (..., 12) as a network takes them: an invertible linear map to 12 numbers of about 1.
+    """Scales observations (..., 12) for a network: an invertible linear map to 12 numbers of about 1.
 
     Args:
-        origin: of the puck's place: "table", its center, as in the observation; or "paddle", the own one.
+        origin: of the puck's position: "table", the table's center as in the observation, or "paddle", the own paddle.
+
+    Raises:
+        ValueError: an unknown origin.
     """
 
     def __init__(self, origin: str) -> None:
@@ -40,16 +43,16 @@ class ObservationScaling(nn.Module):
     def forward(self, observation: Tensor) -> Tensor:
         scale = self.scale
         sound = isinstance(observation, Tensor) and observation.shape[-1:] == (12,) and observation.is_floating_point()
-        if not sound or observation.device != scale.device:  # by hand: it is asked in every tick
+        if not sound or observation.device != scale.device:  # checked here first: this runs in every tick
             check_tensors(scale.device, observation=(observation, "... 12"))
         if self.origin == TABLE:
             return observation / scale
-        place = observation[..., 8:10] - observation[..., 0:2]
-        return torch.cat([observation[..., :8], place, observation[..., 10:]], dim=-1) / scale
+        position = observation[..., 8:10] - observation[..., 0:2]
+        return torch.cat([observation[..., :8], position, observation[..., 10:]], dim=-1) / scale
 
 
 def check_hidden(hidden: Any, name: str = "hidden") -> None:
-    """Refuse what are no sizes of hidden layers, or of a network larger than any of this project could be.
+    """Raise if `hidden` is not a sequence of layer sizes, or makes a network of more than `MAX_WEIGHTS` weights.
 
     Raises:
         ValueError: names the value and what is allowed.
@@ -59,8 +62,8 @@ def check_hidden(hidden: Any, name: str = "hidden") -> None:
         shown = tuple(hidden) if isinstance(hidden, Sequence) and not isinstance(hidden, str) else hidden
         raise ValueError(f"{name} = {shown!r} must name at least one layer, each of at least 1 unit")
     weights = sum(a * b for a, b in itertools.pairwise((12, *hidden, 4)))
-    if weights > MOST_WEIGHTS:
-        raise ValueError(f"{name} = {tuple(hidden)} makes {weights} weights, must be at most {MOST_WEIGHTS}")
+    if weights > MAX_WEIGHTS:
+        raise ValueError(f"{name} = {tuple(hidden)} makes {weights} weights, must be at most {MAX_WEIGHTS}")
 
 
 class GaussianPolicy(nn.Module):
@@ -68,7 +71,7 @@ class GaussianPolicy(nn.Module):
 
     Args:
         hidden: sizes of the hidden layers.
-        inputs: where the puck's place is measured from, see `ObservationScaling`.
+        inputs: origin of the puck's position, see `ObservationScaling`.
     """
 
     def __init__(self, hidden: Sequence[int] = OPTIMAL_ACTION_HIDDEN, inputs: str = TABLE) -> None:
@@ -78,38 +81,37 @@ class GaussianPolicy(nn.Module):
         self.inputs = ObservationScaling(inputs)
         self.layers = nn.Sequential(*mlp_layers(12, self.hidden))
         self.head = nn.Linear(self.hidden[-1], 4)
-        with torch.no_grad():  # begin near the middle of one's side, with a STD of sigmoid(0) = 0.5
+        with torch.no_grad():  # initial actions near the midpoint of the own side, with a STD of sigmoid(0) = 0.5
             self.head.weight *= 0.1
             self.head.bias.zero_()
 
     @property
-    def facts(self) -> dict[str, Any]:
-        """What must be known of a file of weights to use them; see `from_facts`."""
+    def architecture(self) -> dict[str, Any]:
+        """The architecture, as stored beside weights in a file; see `from_architecture`."""
         return {"hidden": list(self.hidden), "inputs": self.inputs.origin}
 
     @classmethod
-    def from_facts(cls, facts: Mapping[str, Any]) -> "GaussianPolicy":
-        """A model, untrained, of the architecture that a file's facts describe.
+    def from_architecture(cls, architecture: Mapping[str, Any]) -> "GaussianPolicy":
+        """An untrained model of an `architecture`; other keys of a file's metadata are ignored.
 
         Raises:
-            ValueError: they describe none.
+            ValueError: the sizes of the hidden layers are missing or wrong.
         """
-        if "hidden" not in facts:
-            raise ValueError("does not say its hidden sizes: not a file of this project")
-        check_hidden(facts["hidden"])
-        return cls(facts["hidden"], facts.get("inputs", TABLE))
+        if "hidden" not in architecture:
+            raise ValueError("has no sizes of hidden layers (hidden): not a file of this project")
+        return cls(architecture["hidden"], architecture.get("inputs", TABLE))
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Map observations (..., 12) to mean (..., 2), any number, and STD (..., 2), in (0, 1)."""
-        mean, spread = self.head(self.layers(self.inputs(observation))).chunk(2, dim=-1)
-        return mean, torch.sigmoid(spread)
+        """Map observations (..., 12) to mean (..., 2), unbounded, and STD (..., 2), in (0, 1), of the action."""
+        mean, std_logit = self.head(self.layers(self.inputs(observation))).chunk(2, dim=-1)
+        return mean, torch.sigmoid(std_logit)
 
     def forward_stacked(self, weights: Mapping[str, Tensor], observation: Tensor) -> tuple[Tensor, Tensor]:
-        """k models of this architecture at once, in one batched product per layer.
+        """Outputs of k models of this architecture, in one batched product per layer.
 
         Args:
-            weights: by the names of the parameters, (k, ...) each; this model's own are not used.
-            observation: (k, n, 12), each model's own.
+            weights: of the k models, by the names of the parameters, (k, ...) each; this model's own are not used.
+            observation: (k, n, 12), n observations for each model.
 
         Returns:
             Mean and STD (k, n, 2).
@@ -118,17 +120,15 @@ class GaussianPolicy(nn.Module):
         def linear(name: str, inputs: Tensor) -> Tensor:
             return torch.baddbmm(weights[f"{name}.bias"].unsqueeze(1), inputs, weights[f"{name}.weight"].mT)
 
-        models = len(weights["head.bias"]) if "head.bias" in weights else 0
-        check_tensors(observation=(observation, f"{models} n 12"))
         hidden = self.inputs(observation)
         for index, layer in enumerate(self.layers):
             hidden = linear(f"layers.{index}", hidden) if isinstance(layer, nn.Linear) else layer(hidden)
-        mean, spread = linear("head", hidden).chunk(2, dim=-1)
-        return mean, torch.sigmoid(spread)
+        mean, std_logit = linear("head", hidden).chunk(2, dim=-1)
+        return mean, torch.sigmoid(std_logit)
 
 
 class Critic(nn.Module):
-    """The value of a state, for the reinforcement learning of the optimal action model: 12 -> hidden tanh -> 1."""
+    """The value function for reinforcement learning: 12 -> hidden tanh layers -> 1."""
 
     def __init__(self, hidden: Sequence[int] = (64, 64), inputs: str = PADDLE) -> None:
         super().__init__()
@@ -144,11 +144,9 @@ class Critic(nn.Module):
 def mlp_layers(inputs: int, hidden: Sequence[int], activation: type[nn.Module] = nn.ReLU) -> list[nn.Module]:
     """Fully connected layers of the sizes `hidden`, each followed by its activation.
 
-    They begin orthogonal, at a scale that keeps activations about as large as the inputs, which on-policy learning
-    wants (Andrychowicz et al. 2021, section 3.2); torch's own beginnings shrink them layer by layer.
+    Orthogonal initialization with gain sqrt(2), which keeps the scale of the activations and helps on-policy learning
+    (Andrychowicz et al. 2021, section 3.2); torch's default shrinks them layer by layer.
     """
-    check_counts(inputs=inputs)
-    check_hidden(hidden)
     sizes, layers = (inputs, *hidden), []
     for a, b in itertools.pairwise(sizes):
         linear = nn.Linear(a, b)

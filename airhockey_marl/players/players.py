@@ -1,4 +1,4 @@
-"""Players: what maps observations to actions, and how a policy becomes one."""
+"""Players: functions from observations to actions, made from policies."""
 
 from collections.abc import Callable
 
@@ -9,15 +9,16 @@ from torch import Tensor
 from airhockey_marl.experiment.validation import CPU, check_tensors
 
 Player = Callable[[Tensor], Tensor]  # observations (n, 12) -> actions (n, 2)
+Policy = Callable[[Tensor], tuple[Tensor, Tensor]]  # observations (n, 12) -> mean and STD (n, 2) of the action
 
 
-def greedy(policy: Callable[[Tensor], tuple[Tensor, Tensor]]) -> Player:
-    """The player that always takes a policy's mean action."""
+def greedy(policy: Policy) -> Player:
+    """The player that takes a policy's mean action."""
     return lambda observation: policy(observation)[0]
 
 
-def stochastic(policy: Callable[[Tensor], tuple[Tensor, Tensor]], generator: torch.Generator) -> Player:
-    """The player that samples from a policy, as in training."""
+def stochastic(policy: Policy, generator: torch.Generator) -> Player:
+    """The player that samples from a policy's Gaussian, as in training."""
 
     def play(observation: Tensor) -> Tensor:
         mean, std = policy(observation)
@@ -26,12 +27,12 @@ def stochastic(policy: Callable[[Tensor], tuple[Tensor, Tensor]], generator: tor
     return play
 
 
-def answer(player: Player, seen: np.ndarray) -> np.ndarray:
-    """A player's actions (n, 2) for observations (n, 12).
+def act(player: Player, observation: np.ndarray) -> np.ndarray:
+    """A player's actions (n, 2) at observations (n, 12).
 
     Raises:
-        ValueError: it answers with something else.
+        ValueError: the player returns something else.
     """
-    said = player(torch.from_numpy(seen))
-    check_tensors(CPU, player=(said, f"{len(seen)} 2"))
-    return said.numpy()
+    actions = player(torch.from_numpy(observation))
+    check_tensors(CPU, player=(actions, f"{len(observation)} 2"))
+    return actions.numpy()

@@ -1,13 +1,14 @@
-"""Scripted players: fixed points by which the generations of a league are measured, and opponents they can meet.
+"""Scripted players: fixed reference points of a league's ratings, and opponents in its training.
 
-random    what an untrained policy does: any place on its side, most often near the middle.
+random    an untrained policy: samples positions on its side, most often near the midpoint.
 defender  stands on a line before its goal, where the puck will cross it; clears a puck that has come to rest.
-striker   stops what comes fast close to its goal, and strikes everything else: it gets behind the puck, and through it
-          at full speed, straight or over a side wall, whichever way the opponent's paddle covers least.
+striker   stops fast pucks close to its goal and strikes all others: it moves behind the puck and then through it at
+          full speed, directly or over a side wall, where the opponent's paddle covers the goal least.
 
-A script looks at one observation (12 numbers, see `env`) and remembers nothing, so a match can be repeated. Places are
-in m from the table's center, x toward the opponent. All constants are assumptions, tried out against the league and
-each other with decisions of 40 ms; with shorter ones the striker changes its mind more often, and strikes less well.
+A script is a function of one observation (12 numbers, see `pettingzoo_env`) without memory, so matches are repeatable.
+Positions are in m from the table's center, x toward the opponent. All constants are assumptions, tuned against the
+league and each other with decisions of 40 ms; with shorter ones the striker changes its plan more often and strikes
+less well.
 """
 
 from collections.abc import Callable
@@ -24,35 +25,35 @@ from airhockey_marl.envs.puck_path import aim_offset, line_crossing, puck_at, se
 from airhockey_marl.experiment.registry import Registry
 from airhockey_marl.experiment.validation import CPU, check_tensors
 
-UNTRAINED = 0.5  # STD of `random`: sigmoid(0), with which `policy.GaussianPolicy` begins
-STEADY = 0.02  # STD of the others, a hand's tremor: 1 cm
+UNTRAINED_STD = 0.5  # of `random`: sigmoid(0), the initial STD of `networks.GaussianPolicy`
+TREMOR_STD = 0.02  # of the others: a hand's tremor of 1 cm
 
-DEFENDER_LINE, STRIKER_LINE = 0.3, 0.105  # m before the goal; behind the striker's no puck fits
-FOLLOWED = 0.5  # of the puck's y, while it is not coming
-FORESIGHT = 1.5  # s: a puck that takes longer is not coming yet
-AT_REST = 0.5  # m/s: a slower puck the defender clears
-TOO_FAST, TOO_FAST_ON_GOAL = 5.0, 3.0  # m/s toward the own end: such a puck the striker only stops
-STRIKER_HALF = 0.3  # m: so far from the half-way line the striker strikes, not to be caught far from its goal
-RUN_UP = 0.12  # m, to be at full speed when the paddle hits
-DECISION = 0.04  # s
-ALIGNED = 0.94  # cosine of 20 degrees, how exactly a paddle must be behind the puck
+DEFENDER_LINE, STRIKER_LINE = 0.3, 0.105  # m before the goal; no puck fits behind the striker's
+LATERAL_GAIN = 0.5  # share of the puck's y that is followed while it does not approach
+BLOCK_HORIZON = 1.5  # s: a puck that needs longer to the line is not approaching yet
+REST_SPEED = 0.5  # m/s: the defender clears a slower puck
+MAX_PUCK_SPEED, MAX_SHOT_SPEED = 5.0, 3.0  # m/s toward the own end: the striker only blocks faster pucks and shots
+STRIKER_MARGIN = 0.3  # m: the striker does not strike closer to the half-way line, to stay near its goal
+RUN_UP = 0.12  # m, in which the paddle reaches full speed
+DECISION = 0.04  # s, assumed time between decisions
+ALIGNMENT = 0.94  # cosine of 20 degrees: how exactly the paddle must be behind the puck
 
 
 @njit(cache=True)
 def _guard(puck, line, table):
-    """Where to stop the puck: on the line, or in the mouth of the goal if it has come past that."""
+    """The position to block the puck: on the line, or in the mouth of the goal if the puck has passed the line."""
     mouth = table.goal / 2
     if puck[0] < line + table.paddle_radius:
         return -table.length / 2 + table.paddle_radius, clamp(puck[1], -mouth, mouth)
     seconds, y = line_crossing(puck, line, table)
-    if seconds < FORESIGHT:
+    if seconds < BLOCK_HORIZON:
         return line, clamp(y, -1.3 * mouth, 1.3 * mouth)
-    return line, clamp(FOLLOWED * puck[1], -mouth, mouth)
+    return line, clamp(LATERAL_GAIN * puck[1], -mouth, mouth)
 
 
 @njit(cache=True)
 def _shot(bank, x, y, opponent_x, table):
-    """The direction from (x, y) to the opponent's goal, and the shot's y where it passes the opponent's paddle.
+    """Direction (a unit vector) of a shot from (x, y) at the opponent's goal, and its y where it passes `opponent_x`.
 
     `bank` is the wall that the shot takes, see `aim_offset`.
     """
@@ -66,17 +67,17 @@ def _shot(bank, x, y, opponent_x, table):
 
 
 @njit(cache=True)
-def _blow(vx, vy, way_x, way_y, table):
-    """How a paddle at full speed must meet a puck of velocity v to send it the given way (a unit vector).
+def _blow(vx, vy, to_x, to_y, table):
+    """Contact of a paddle at full speed that sends a puck of velocity (vx, vy) along the unit vector (to_x, to_y).
 
-    Returns the unit vector from the paddle to the puck, along which the blow acts and the paddle has to come, and the
-    puck's speed after it. Each depends on the other: a few rounds agree to a degree.
+    Returns the unit vector from the paddle to the puck, along which the paddle has to move, and the puck's speed after
+    the contact. Each depends on the other: a few fixed-point iterations agree to a degree.
     """
-    x, y, speed = way_x, way_y, 0.0
+    x, y, speed = to_x, to_y, 0.0
     for _ in range(4):
         blow = (1.0 + table.paddle_restitution) * max(table.paddle_speed - (vx * x + vy * y), 0.0)
-        speed = max((vx + blow * x) * way_x + (vy + blow * y) * way_y, 0.1)
-        change_x, change_y = speed * way_x - vx, speed * way_y - vy
+        speed = max((vx + blow * x) * to_x + (vy + blow * y) * to_y, 0.1)
+        change_x, change_y = speed * to_x - vx, speed * to_y - vy
         change = hypot(change_x, change_y)
         if change == 0.0:
             break
@@ -86,124 +87,127 @@ def _blow(vx, vy, way_x, way_y, table):
 
 @njit(cache=True)
 def _around(px, py, x, y, puck, table):
-    """Where to steer to get from (px, py) to (x, y) without touching the puck: there, or first to the puck's side."""
+    """Next waypoint from (px, py) to (x, y) that avoids the puck: (x, y) itself, or a point beside the puck."""
     clear = 1.2 * (table.puck_radius + table.paddle_radius)
     distance = hypot(x - px, y - py)
     if distance == 0.0:
         return x, y
-    way_x, way_y = (x - px) / distance, (y - py) / distance
-    along = (puck[0] - px) * way_x + (puck[1] - py) * way_y
-    aside = (puck[0] - px) * way_y - (puck[1] - py) * way_x  # above 0: the puck is to the right of the way
-    if not 0.0 < along < distance or abs(aside) > clear:
+    to_x, to_y = (x - px) / distance, (y - py) / distance
+    ahead = (puck[0] - px) * to_x + (puck[1] - py) * to_y
+    across = (puck[0] - px) * to_y - (puck[1] - py) * to_x  # above 0: the puck is right of the straight line
+    if not 0.0 < ahead < distance or abs(across) > clear:
         return x, y
-    turn = copysign(clear, aside)
-    return puck[0] - turn * way_y, puck[1] + turn * way_x
+    turn = copysign(clear, across)
+    return puck[0] - turn * to_y, puck[1] + turn * to_x
 
 
 @njit(cache=True)
-def _strike(seen, banks, foremost, table):
-    """Where to go to strike the puck as soon as possible, and whether that can be done at all.
+def _strike(observation, bank_shots, max_x, table):
+    """The position to move to in order to strike the puck as soon as possible.
+
+    Searches the next second for the first time at which the paddle can be where it has to hit the predicted puck,
+    directly or after a run-up, and of the shots at that time takes the one that the opponent would need the highest
+    speed to reach.
 
     Args:
-        seen: (12,) the observation.
-        banks: whether shots over the side walls are considered.
-        foremost: the puck is struck where its x is below this.
+        observation: (12,).
+        bank_shots: whether shots over the side walls are considered.
+        max_x: m, the puck is not struck beyond this x.
 
-    For each moment of the next second: where is the puck, where must the paddle be to shoot it, and can it be there
-    by then, either straight or by way of a run-up? Of the first moment's shots, the one is taken for which the
-    opponent would have to be fastest.
+    Returns:
+        Whether there is such a shot, and the position (x, y).
     """
-    px, py, puck = seen[0], seen[1], seen[8:12]
-    touching, fast = table.puck_radius + table.paddle_radius, table.paddle_speed
+    px, py, puck = observation[0], observation[1], observation[8:12]
+    touching, top_speed = table.puck_radius + table.paddle_radius, table.paddle_speed
     low, high = table.paddle_radius - table.length / 2, -table.paddle_radius
     side = table.width / 2 - table.paddle_radius
     until_goal = seconds_to_goal_or_post(puck, table)
-    hardest, to_x, to_y = -1.0, px, py
+    best, to_x, to_y = -1.0, px, py
     for step in range(25):
         seconds = (step + 0.5) * DECISION
-        if hardest >= 0.0 or seconds > until_goal - DECISION:
+        if best >= 0.0 or seconds > until_goal - DECISION:
             break
         x, y, vx, vy = puck_at(puck, seconds, table)
-        if x > foremost:
+        if x > max_x:
             continue
         for bank in range(-1, 2):
-            if bank != 0 and not banks:
+            if bank != 0 and not bank_shots:
                 continue
-            way_x, way_y, passing = _shot(bank, x, y, seen[4], table)
-            blow_x, blow_y, speed = _blow(vx, vy, way_x, way_y, table)
+            toward_x, toward_y, passing = _shot(bank, x, y, observation[4], table)
+            blow_x, blow_y, speed = _blow(vx, vy, toward_x, toward_y, table)
             at_x, at_y = x - touching * blow_x, y - touching * blow_y
             if not low <= at_x <= high or abs(at_y) > side:
                 continue
             distance = hypot(at_x - px, at_y - py)
-            behind = (at_x - px) * blow_x + (at_y - py) * blow_y >= ALIGNED * distance
+            behind = (at_x - px) * blow_x + (at_y - py) * blow_y >= ALIGNMENT * distance
             start_x, start_y = clamp(at_x - RUN_UP * blow_x, low, high), clamp(at_y - RUN_UP * blow_y, -side, side)
-            if behind:  # and, as a rule, already moving
-                needed = distance / fast - 0.25 * DECISION
+            if behind:  # and usually already moving
+                seconds_needed = distance / top_speed - 0.25 * DECISION
             else:
-                needed = (hypot(start_x - px, start_y - py) + RUN_UP) / fast + DECISION
-            hard = abs(passing - seen[5]) * speed * way_x / max(seen[4] - x, table.paddle_radius)
-            if needed > seconds or hard <= hardest:
+                seconds_needed = (hypot(start_x - px, start_y - py) + RUN_UP) / top_speed + DECISION
+            difficulty = abs(passing - observation[5]) * speed * toward_x / max(observation[4] - x, table.paddle_radius)
+            if seconds_needed > seconds or difficulty <= best:
                 continue
-            hardest = hard
-            if behind and needed > seconds - 1.5 * DECISION:  # it is time
+            best = difficulty
+            if behind and seconds_needed > seconds - 1.5 * DECISION:  # strike now
                 to_x, to_y = at_x + RUN_UP * blow_x, at_y + RUN_UP * blow_y
             else:
                 to_x, to_y = _around(px, py, start_x, start_y, puck, table)
-    return hardest >= 0.0, to_x, to_y
+    return best >= 0.0, to_x, to_y
 
 
 @njit(cache=True)
-def _defender(seen, table):
-    puck = seen[8:12]
-    if puck[0] < 0.0 and hypot(puck[2], puck[3]) < AT_REST:
-        possible, x, y = _strike(seen, False, 0.0, table)
+def _defender(observation, table):
+    puck = observation[8:12]
+    if puck[0] < 0.0 and hypot(puck[2], puck[3]) < REST_SPEED:
+        possible, x, y = _strike(observation, False, 0.0, table)
         if possible:
             return x, y
     return _guard(puck, DEFENDER_LINE - table.length / 2, table)
 
 
 @njit(cache=True)
-def _striker(seen, table):
-    puck = seen[8:12]
-    too_fast = TOO_FAST if seconds_to_goal_or_post(puck, table) == np.inf else TOO_FAST_ON_GOAL
-    if puck[2] > -too_fast:
-        possible, x, y = _strike(seen, True, -STRIKER_HALF, table)
+def _striker(observation, table):
+    puck = observation[8:12]
+    max_speed = MAX_PUCK_SPEED if seconds_to_goal_or_post(puck, table) == np.inf else MAX_SHOT_SPEED
+    if puck[2] > -max_speed:
+        possible, x, y = _strike(observation, True, -STRIKER_MARGIN, table)
         if possible:
             return x, y
     return _guard(puck, STRIKER_LINE - table.length / 2, table)
 
 
 @njit(cache=True)
-def _as_action(place, action, table):
-    """Write the action (2,) that means this place."""
-    action[0] = clamp((place[0] + table.length / 4) / (table.length / 4 - table.paddle_radius), -1.0, 1.0)
-    action[1] = clamp(place[1] / (table.width / 2 - table.paddle_radius), -1.0, 1.0)
+def _write_action(position, action, table):
+    """Write the action (2,) whose desired position is `position`."""
+    action[0] = clamp((position[0] + table.length / 4) / (table.length / 4 - table.paddle_radius), -1.0, 1.0)
+    action[1] = clamp(position[1] / (table.width / 2 - table.paddle_radius), -1.0, 1.0)
 
 
-def _rest(seen, actions, table):
+def _stay(observation, actions, table):
     actions[:] = 0.0
 
 
 @njit(cache=True)
-def _defend(seen, actions, table):
-    for index in range(len(seen)):
-        _as_action(_defender(seen[index], table), actions[index], table)
+def _defend(observation, actions, table):
+    for index in range(len(observation)):
+        _write_action(_defender(observation[index], table), actions[index], table)
 
 
 @njit(cache=True)
-def _attack(seen, actions, table):
-    for index in range(len(seen)):
-        _as_action(_striker(seen[index], table), actions[index], table)
+def _attack(observation, actions, table):
+    for index in range(len(observation)):
+        _write_action(_striker(observation[index], table), actions[index], table)
 
 
 @dataclass(frozen=True)
 class ScriptedPlayer:
-    """A script that can be asked like a policy.
+    """A script with the interface of a policy.
 
     Attributes:
-        script: writes the actions (n, 2) for observations (n, 12), both float64, at a `TableSpec`.
-        std: of the action.
-        table: the table it plays on.
+        script: writes the mean actions (n, 2) for observations (n, 12), both float64, on a `TableSpec`.
+        std: standard deviation of the action.
+        table: the table that is played on.
     """
 
     script: Callable[[np.ndarray, np.ndarray, TableSpec], None]
@@ -211,20 +215,17 @@ class ScriptedPlayer:
     table: TableSpec = field(default_factory=TableSpec)
 
     def __call__(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Map observations (..., 12) to mean (..., 2), in [-1, 1], and STD (..., 2)."""
-        check_tensors(CPU, observation=(observation, "... 12"))
-        seen = observation.detach().reshape(-1, observation.shape[-1]).numpy().astype(np.float64)
-        actions = np.empty((len(seen), 2))
-        self.script(seen, actions, self.table)
+        """Map observations (..., 12) to the mean (..., 2), in [-1, 1], and the STD (..., 2) of the action."""
+        check_tensors(CPU, observation=(observation, "... 12"))  # compiled scripts do not check
+        rows = observation.detach().reshape(-1, 12).numpy().astype(np.float64)
+        actions = np.empty((len(rows), 2))
+        self.script(rows, actions, self.table)
         mean = torch.from_numpy(actions).to(observation.dtype).reshape(*observation.shape[:-1], 2)
         return mean, torch.full_like(mean, self.std)
 
 
 REFERENCE_PLAYERS = ("random", "defender", "striker")  # every league is measured against these
 SCRIPTED_PLAYERS: Registry[ScriptedPlayer] = Registry("scripted player")
-for _name, _player in zip(
-    REFERENCE_PLAYERS,
-    (ScriptedPlayer(_rest, UNTRAINED), ScriptedPlayer(_defend, STEADY), ScriptedPlayer(_attack, STEADY)),
-    strict=True,
-):
-    SCRIPTED_PLAYERS.register(_name)(_player)
+SCRIPTED_PLAYERS.register("random")(ScriptedPlayer(_stay, UNTRAINED_STD))
+SCRIPTED_PLAYERS.register("defender")(ScriptedPlayer(_defend, TREMOR_STD))
+SCRIPTED_PLAYERS.register("striker")(ScriptedPlayer(_attack, TREMOR_STD))

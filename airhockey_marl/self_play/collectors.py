@@ -185,7 +185,7 @@ class RolloutWorkers:
         each = tables // self.workers
         self.shares = [TableSlice(index * each, (index + 1) * each, tables) for index in range(self.workers)]
         envs = [partial(make_env, **{**env, "tables": each, "seed": seed + share.first}) for share in self.shares]
-        seats = [partial(_both_seats, policy.facts, share, torch.get_rng_state()) for share in self.shares]
+        seats = [partial(_both_seats, policy.architecture, share, torch.get_rng_state()) for share in self.shares]
         # weights travel by `follow`, which waits until they have arrived, not in one of the collectors' own ways
         warnings.filterwarnings("ignore", message=".*weight", category=UserWarning, module=r"torchrl\.collectors")
         self.collector = _OPEN[how.kind](how, envs, seats, batch)
@@ -219,7 +219,7 @@ class RolloutWorkers:
 
 
 def _both_seats(facts: Mapping[str, Any], share: TableSlice, random_state: Tensor) -> TwoPlayerPolicy:
-    seats = TwoPlayerPolicy(GaussianPolicy.from_facts(facts).requires_grad_(False), share)
+    seats = TwoPlayerPolicy(GaussianPolicy.from_architecture(facts).requires_grad_(False), share)
     torch.set_rng_state(random_state)  # a new collector tries its policy once: that, too, is the same everywhere
     return seats
 

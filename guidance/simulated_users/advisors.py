@@ -9,6 +9,7 @@ import torch
 from numba import njit
 
 from airhockey_marl.league.league import League
+from airhockey_marl.players.inference import mlp_forward_blas
 
 
 class Advisors(NamedTuple):
@@ -56,14 +57,6 @@ def advised_action(mentors, skill, state):
     The share of people who are less skilled picks the generation: half of them for the median person.
     """
     share = 0.5 * (1.0 + erf(skill / sqrt(2.0)))
-    weights = mentors.weights[int(share * (len(mentors.weights) - 1) + 0.5)]
-    layer, start = state, 0
-    for index in range(len(mentors.sizes) - 1):
-        width, height = mentors.sizes[index], mentors.sizes[index + 1]
-        matrix = weights[start : start + width * height].reshape(height, width)
-        start += width * height
-        layer = np.dot(matrix, layer) + weights[start : start + height]
-        start += height
-        if index < len(mentors.sizes) - 2:
-            layer = np.maximum(layer, 0.0)
-    return min(max(layer[0], -1.0), 1.0), min(max(layer[1], -1.0), 1.0)
+    model = mentors.weights[int(share * (len(mentors.weights) - 1) + 0.5)]
+    mean = mlp_forward_blas(state, mentors.sizes, model)
+    return min(max(mean[0], -1.0), 1.0), min(max(mean[1], -1.0), 1.0)

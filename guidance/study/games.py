@@ -108,7 +108,7 @@ class GameRunner:
         actions[:, LEFT] = self.participants.step(self._seen, self.force, games)
         tables.observe(RIGHT, self._seen_by_opponent)
         actions[games, RIGHT] = self.opponent(torch.from_numpy(self._seen_by_opponent[games])).numpy()
-        tables.step(actions, rows=games)
+        tables.step(actions, indices=games)
         return GameStep(games, self._seen, before, actions[:, LEFT], guided, tables.goals)
 
 

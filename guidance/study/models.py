@@ -21,7 +21,7 @@ from guidance.user_model.training import adapt_to_user
 
 def save_user_model(path: Path | str, model: GaussianPolicy, facts: dict) -> None:
     """Write a user prediction model; `facts` (any JSON) travel with it."""
-    save_tensors(path, model.state_dict(), {**facts, **model.facts})
+    save_tensors(path, model.state_dict(), {**facts, **model.architecture})
 
 
 def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
@@ -32,7 +32,7 @@ def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
     """
     tensors, facts = load_tensors(path)
     try:
-        model = GaussianPolicy.from_facts(facts)
+        model = GaussianPolicy.from_architecture(facts)
         require_weights(model, {name: tuple(tensor.shape) for name, tensor in tensors.items()})
         require_finite(tensors)
     except ValueError as error:

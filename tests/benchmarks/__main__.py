@@ -25,7 +25,7 @@ from torch.func import grad_and_value
 from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.envs.world import SEATS, World
+from airhockey_marl.envs.world import AGENTS, World
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League
@@ -69,7 +69,7 @@ def config(command: str, *overrides: str):
 
 
 def pettingzoo_steps(steps: int = 20_000) -> float:
-    env, stay = AirHockey(), {seat: np.zeros(2, dtype=np.float32) for seat in SEATS}
+    env, stay = AirHockey(), {seat: np.zeros(2, dtype=np.float32) for seat in AGENTS}
     env.reset(seed=0)
 
     def play() -> None:

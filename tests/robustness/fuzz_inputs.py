@@ -97,7 +97,7 @@ class Case:
         self.folder, self.trap = folder, folder / "executed"
         self.file = folder / "input.safetensors"
         policy = GaussianPolicy([4])
-        save_tensors(self.file, policy.state_dict(), {**policy.facts, "inner_lr": 0.1})
+        save_tensors(self.file, policy.state_dict(), {**policy.architecture, "inner_lr": 0.1})
         self.model = self.file.read_bytes(), self.without_hash()
         league = League(policy)
         for _ in range(2):

@@ -78,7 +78,7 @@ def test_whatever_is_asked_for_what_acts_is_bounded(steps):
 def a_model(path: Path, facts: dict | None = None, **changes: torch.Tensor) -> Path:
     policy = GaussianPolicy([4])
     tensors = dict(policy.state_dict()) | {name.replace("_", "."): tensor for name, tensor in changes.items()}
-    save_tensors(path, tensors, policy.facts | {"inner_lr": 0.1} | (facts or {}))
+    save_tensors(path, tensors, policy.architecture | {"inner_lr": 0.1} | (facts or {}))
     return path
 
 
@@ -142,7 +142,7 @@ def test_generations_of_different_number_are_refused(tmp_path):
     policy, path = GaussianPolicy([4]), tmp_path / "league.safetensors"
     stacked = {name: tensor[None].expand(3, *tensor.shape).clone() for name, tensor in policy.state_dict().items()}
     for wrong in ({"head.bias": torch.zeros(2, 4)}, {name: tensor[:0] for name, tensor in stacked.items()}):
-        save_tensors(path, stacked | wrong, policy.facts)
+        save_tensors(path, stacked | wrong, policy.architecture)
         with pytest.raises(ValueError, match=r"is of \d generations, must be of \d"):
             League.load(path)
 

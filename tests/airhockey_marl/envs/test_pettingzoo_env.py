@@ -9,19 +9,19 @@ from torchrl.envs.utils import check_env_specs
 from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import PUCK, RIGHT, TableSpec
 from airhockey_marl.envs.torchrl_env import AirHockeyEnv, make_env
-from airhockey_marl.envs.world import SEATS
+from airhockey_marl.envs.world import AGENTS
 
 
 def rollout(env, actions: torch.Tensor) -> torch.Tensor:
-    """All that a collector would see: (steps, tables, ...) observations, rewards and flags."""
-    seen, state = [], env.reset()
+    """Observations, rewards and flags of all steps as a collector receives them: (steps, tables, ...)."""
+    observations, state = [], env.reset()
     for action in actions:
         state["left", "action"], state["right", "action"] = action
         step, state = env.step_and_maybe_reset(state)
-        parts = [step["next", seat, key].flatten(1) for seat in SEATS for key in ("observation", "reward")]
+        parts = [step["next", agent, key].flatten(1) for agent in AGENTS for key in ("observation", "reward")]
         parts += [step["next", flag].float() for flag in ("done", "terminated", "truncated")]
-        seen.append(torch.cat([*parts, state["left", "observation"].flatten(1)], dim=1))
-    return torch.stack(seen)
+        observations.append(torch.cat([*parts, state["left", "observation"].flatten(1)], dim=1))
+    return torch.stack(observations)
 
 
 def test_pettingzoo_api():
@@ -47,7 +47,7 @@ def test_a_whole_trajectory_follows_from_the_seed():
         for _ in range(600):
             if not env.agents:
                 env.reset()
-            actions = {seat: rng.uniform(-1, 1, 2).astype(np.float32) for seat in SEATS}
+            actions = {agent: rng.uniform(-1, 1, 2).astype(np.float32) for agent in AGENTS}
             observations, rewards, *_ = env.step(actions)
             trail.append(np.concatenate([observations["left"], observations["right"], [rewards["left"]]]))
         return np.array(trail)
@@ -56,30 +56,30 @@ def test_a_whole_trajectory_follows_from_the_seed():
     assert not np.array_equal(play(3), play(4))
 
 
-def test_the_right_seat_sees_the_table_after_a_half_turn():
+def test_the_right_agent_observes_the_table_after_a_half_turn():
     env = AirHockey()
-    seen, _ = env.reset(seed=0)
-    assert np.array_equal(seen["left"][8:], -seen["right"][8:])
-    assert np.array_equal(seen["left"][:4], -seen["right"][4:8])
+    observations, _ = env.reset(seed=0)
+    assert np.array_equal(observations["left"][8:], -observations["right"][8:])
+    assert np.array_equal(observations["left"][:4], -observations["right"][4:8])
 
 
 def test_actions_are_positions_from_the_midpoint_of_the_side():
     env, table = AirHockey(), TableSpec()
     env.reset(seed=0)
     for _ in range(60):
-        env.tables.bodies[0, PUCK] = (0.0, 0.45, 0.0, 0.0)
-        seen, *_ = env.step({"left": np.array([1.0, -1.0]), "right": np.array([0.0, 0.0])})
+        env.world.bodies[0, PUCK] = (0.0, 0.45, 0.0, 0.0)
+        observations, *_ = env.step({"left": np.array([1.0, -1.0]), "right": np.array([0.0, 0.0])})
     corner = (-table.paddle_radius, -table.width / 2 + table.paddle_radius)
-    assert seen["left"][:2] == pytest.approx(corner, abs=1e-3)
-    assert seen["right"][:2] == pytest.approx((-table.length / 4, 0.0), abs=1e-3)
+    assert observations["left"][:2] == pytest.approx(corner, abs=1e-3)
+    assert observations["right"][:2] == pytest.approx((-table.length / 4, 0.0), abs=1e-3)
 
 
 def test_goals_terminate_and_time_truncates():
-    stay = {seat: np.zeros(2, dtype=np.float32) for seat in SEATS}
+    stay = {agent: np.zeros(2, dtype=np.float32) for agent in AGENTS}
     env = AirHockey(round_seconds=1.0)
     env.reset(seed=0)
-    env.tables.bodies[0, RIGHT, :2] = 0.8, 0.4
-    env.tables.bodies[0, PUCK] = (0.9, 0.0, 10.0, 0.0)
+    env.world.bodies[0, RIGHT, :2] = 0.8, 0.4
+    env.world.bodies[0, PUCK] = (0.9, 0.0, 10.0, 0.0)
     _, reward, terminated, truncated, _ = env.step(stay)
     assert reward == {"left": 1.0, "right": -1.0}
     assert terminated["left"] and not truncated["left"] and env.agents == []
@@ -88,7 +88,7 @@ def test_goals_terminate_and_time_truncates():
 
     env.reset(seed=0)
     for _ in range(50):
-        env.tables.bodies[0, PUCK] = (0.3, 0.3, 0.1, 0.0)
+        env.world.bodies[0, PUCK] = (0.3, 0.3, 0.1, 0.0)
         _, _, terminated, truncated, _ = env.step(stay)
     assert truncated["left"] and not terminated["left"] and env.agents == []
 
@@ -96,9 +96,9 @@ def test_goals_terminate_and_time_truncates():
 def test_an_action_that_is_not_a_number_means_stay():
     env = AirHockey()
     env.reset(seed=0)
-    nothing = {seat: np.full(2, np.nan, dtype=np.float32) for seat in SEATS}
-    seen, *_ = env.step(nothing)
-    assert seen["left"][:4] == pytest.approx((-TableSpec().length / 4, 0, 0, 0))
+    nothing = {agent: np.full(2, np.nan, dtype=np.float32) for agent in AGENTS}
+    observations, *_ = env.step(nothing)
+    assert observations["left"][:4] == pytest.approx((-TableSpec().length / 4, 0, 0, 0))
 
 
 def test_render():
@@ -107,7 +107,7 @@ def test_render():
     first = env.render()
     assert first.dtype == np.uint8 and first.ndim == 3 and first.shape[2] == 3
     for _ in range(20):
-        env.step({seat: np.ones(2, dtype=np.float32) for seat in SEATS})
+        env.step({agent: np.ones(2, dtype=np.float32) for agent in AGENTS})
     assert (env.render() != first).any()
     assert AirHockey().render() is None
 

@@ -43,16 +43,16 @@ def legal_states(draw, fastest=20.0):
     unit = st.floats(0, 1)
     bodies = np.zeros((3, 4))
     middle, half = action_range(TABLE)
-    for seat, turn in ((LEFT, 1), (RIGHT, -1)):
+    for agent, turn in ((LEFT, 1), (RIGHT, -1)):
         place = middle + half * (2 * np.array([draw(unit), draw(unit)]) - 1)
-        bodies[seat, :2] = turn * place
+        bodies[agent, :2] = turn * place
         angle, speed = 2 * np.pi * draw(unit), TABLE.paddle_speed * draw(unit)
-        bodies[seat, 2:] = speed * np.cos(angle), speed * np.sin(angle)
+        bodies[agent, 2:] = speed * np.cos(angle), speed * np.sin(angle)
     bodies[PUCK, :2] = (2 * draw(unit) - 1) * END, (2 * draw(unit) - 1) * SIDE
-    for seat in (LEFT, RIGHT):
-        gap = bodies[PUCK, :2] - bodies[seat, :2]
+    for agent in (LEFT, RIGHT):
+        gap = bodies[PUCK, :2] - bodies[agent, :2]
         if np.hypot(*gap) < TOUCHING:
-            bodies[PUCK, :2] = bodies[seat, :2] - np.sign(bodies[seat, :2] + 1e-9) * TOUCHING
+            bodies[PUCK, :2] = bodies[agent, :2] - np.sign(bodies[agent, :2] + 1e-9) * TOUCHING
     bodies[PUCK, 0] = np.clip(bodies[PUCK, 0], -END, END)
     angle, speed = 2 * np.pi * draw(unit), fastest * draw(unit)
     bodies[PUCK, 2:] = speed * np.cos(angle), speed * np.sin(angle)
@@ -73,16 +73,16 @@ def test_nothing_leaves_the_table_or_overlaps_or_becomes_nan(state):
             assert abs(y) < TABLE.goal / 2
             break
         assert abs(x) <= (END if abs(y) >= TABLE.goal / 2 else TABLE.length / 2) + 1e-9
-        for seat, turn in ((LEFT, 1), (RIGHT, -1)):
-            paddle_x, paddle_y = turn * bodies[seat, X], bodies[seat, Y]
+        for agent, turn in ((LEFT, 1), (RIGHT, -1)):
+            paddle_x, paddle_y = turn * bodies[agent, X], bodies[agent, Y]
             assert -TABLE.length / 2 + TABLE.paddle_radius - 1e-9 <= paddle_x <= -TABLE.paddle_radius + 1e-9
             assert abs(paddle_y) <= TABLE.width / 2 - TABLE.paddle_radius + 1e-9
-            assert np.hypot(*(bodies[PUCK, :2] - bodies[seat, :2])) >= TOUCHING - 1e-3
+            assert np.hypot(*(bodies[PUCK, :2] - bodies[agent, :2])) >= TOUCHING - 1e-3
 
 
 @settings(max_examples=200, deadline=None)
 @given(legal_states())
-def test_swapping_the_seats_mirrors_the_trajectory_exactly(state):
+def test_swapping_the_agents_mirrors_the_trajectory_exactly(state):
     bodies, targets = state
     mirrored, mirrored_targets = -bodies[[RIGHT, LEFT, PUCK]], -targets[::-1]
     for _ in range(10):
@@ -99,8 +99,8 @@ def test_swapping_the_seats_mirrors_the_trajectory_exactly(state):
 @given(legal_states())
 def test_no_contact_is_out_of_reach(state):
     bodies, _ = state
-    time, which, _ = _first_contact(bodies, TABLE)
-    assert which == NO_CONTACT or not _out_of_reach(bodies, np.nextafter(time, np.inf), TABLE)
+    time, contact, _ = _first_contact(bodies, TABLE)
+    assert contact == NO_CONTACT or not _out_of_reach(bodies, np.nextafter(time, np.inf), TABLE)
 
 
 @settings(max_examples=200, deadline=None)

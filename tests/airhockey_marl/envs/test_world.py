@@ -59,9 +59,9 @@ def test_serves_differ_between_tables_and_go_to_both_sides():
 def test_the_first_parallel_step_leaves_torchs_threads_alone():
     """In a process of its own, where no step has been made: numba and torch must not share a thread pool."""
     script = (
-        "import numpy as np, torch; from airhockey_marl.envs.world import Tables;"
+        "import numpy as np, torch; from airhockey_marl.envs.world import World;"
         "torch.set_num_threads(1); before = torch.get_num_threads();"
-        f"n = {World.PARALLEL_FROM}; Tables(n).step(np.zeros((n, 2, 2), dtype=np.float32));"
+        f"n = {World.PARALLEL_FROM}; World(n).step(np.zeros((n, 2, 2), dtype=np.float32));"
         "print(before, torch.get_num_threads())"
     )
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, timeout=300, check=True)

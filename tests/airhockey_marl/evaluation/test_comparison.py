@@ -190,4 +190,4 @@ def test_runs_that_cannot_be_read_or_compared_are_named(monkeypatch, capsys, swe
         (sweep / "3" / name).unlink(missing_ok=True)
     assert "decisions last 25 ticks" in refused()
     save_tensors(sweep / "4" / "league.safetensors", {"x": torch.zeros(1)})
-    assert "league.safetensors: does not say its hidden sizes" in refused()
+    assert "league.safetensors: has no sizes of hidden layers (hidden)" in refused()

@@ -47,17 +47,17 @@ def test_no_layers_is_refused():
 
 
 @pytest.mark.parametrize("inputs", ["table", "paddle"])
-def test_what_a_model_sees_determines_the_observation(inputs):
+def test_the_scaling_is_invertible(inputs):
     observation = torch.randn(50, 12)
-    seen = ObservationScaling(inputs)(observation)
+    scaled = ObservationScaling(inputs)(observation)
     matrix = ObservationScaling(inputs)(torch.eye(12))
-    assert torch.allclose(seen, observation @ matrix, atol=1e-5) and torch.linalg.matrix_rank(matrix) == 12
-    assert GaussianPolicy.from_facts(GaussianPolicy([8], inputs).facts).inputs.origin == inputs
+    assert torch.allclose(scaled, observation @ matrix, atol=1e-5) and torch.linalg.matrix_rank(matrix) == 12
+    assert GaussianPolicy.from_architecture(GaussianPolicy([8], inputs).architecture).inputs.origin == inputs
 
 
-def test_facts_that_do_not_describe_a_model_are_refused():
-    assert GaussianPolicy.from_facts({"hidden": [8]}).inputs.origin == "table"  # files older than the choice
-    with pytest.raises(ValueError, match="does not say its hidden sizes"):
-        GaussianPolicy.from_facts({"inputs": "paddle"})
+def test_an_incomplete_architecture_is_refused():
+    assert GaussianPolicy.from_architecture({"hidden": [8]}).inputs.origin == "table"  # files older than the choice
+    with pytest.raises(ValueError, match="has no sizes of hidden layers"):
+        GaussianPolicy.from_architecture({"inputs": "paddle"})
     with pytest.raises(ValueError, match="inputs = 'puck' must be 'table' or 'paddle'"):
-        GaussianPolicy.from_facts({"hidden": [8], "inputs": "puck"})
+        GaussianPolicy.from_architecture({"hidden": [8], "inputs": "puck"})

@@ -1,4 +1,4 @@
-"""The scripted players: what they look at, what they do, and how good they are."""
+"""The scripted players: symmetry, actions and strength."""
 
 import numpy as np
 import pytest
@@ -20,37 +20,37 @@ def player(name, seed=0):
 
 
 def states(n, seed=0):
-    """Observations (n, 12) of tables on which anything may be anywhere, at speeds up to 10 m/s."""
+    """Observations (n, 12) of world on which anything may be anywhere, at speeds up to 10 m/s."""
     rng = np.random.default_rng(seed)
     half, side = TABLE.length / 2, TABLE.width / 2
-    seen = rng.uniform(-1, 1, (n, 12)) * np.tile([half, side, 3.0, 3.0], 3)
-    seen[:, 0] = -abs(seen[:, 0])
-    seen[:, 4] = abs(seen[:, 4])
-    seen[:, 10:] *= rng.uniform(0, 3, (n, 1))
-    return torch.from_numpy(seen).float()
+    observation = rng.uniform(-1, 1, (n, 12)) * np.tile([half, side, 3.0, 3.0], 3)
+    observation[:, 0] = -abs(observation[:, 0])
+    observation[:, 4] = abs(observation[:, 4])
+    observation[:, 10:] *= rng.uniform(0, 3, (n, 1))
+    return torch.from_numpy(observation).float()
 
 
-def sent_across(tables, name, seconds=2.0):
+def sent_across(world, name, seconds=2.0):
     """Whether the left player brings the puck of the one table into the other half, the right one standing still."""
     for _ in range(round(seconds / (2 * TABLE.tick))):
-        action, _ = SCRIPTED_PLAYERS[name](torch.from_numpy(tables.observe(LEFT, np.empty((1, 12), dtype=np.float32))))
-        tables.step(np.stack([action.numpy(), np.zeros((1, 2))], axis=1), 2)
-        if tables.goals[0] or tables.bodies[0, PUCK, X] > 0:
+        action, _ = SCRIPTED_PLAYERS[name](torch.from_numpy(world.observe(LEFT, np.empty((1, 12), dtype=np.float32))))
+        world.step(np.stack([action.numpy(), np.zeros((1, 2))], axis=1), 2)
+        if world.goals[0] or world.bodies[0, PUCK, X] > 0:
             break
-    return tables.goals[0] >= 0 and tables.bodies[0, PUCK, X] > 0
+    return world.goals[0] >= 0 and world.bodies[0, PUCK, X] > 0
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_left_and_right_are_alike(name):
-    seen = states(5000)
-    mirrored = seen * torch.tensor([1.0, -1.0, 1.0, -1.0] * 3)
-    action, _ = SCRIPTED_PLAYERS[name](seen)
+    observation = states(5000)
+    mirrored = observation * torch.tensor([1.0, -1.0, 1.0, -1.0] * 3)
+    action, _ = SCRIPTED_PLAYERS[name](observation)
     assert torch.equal(SCRIPTED_PLAYERS[name](mirrored)[0], action * torch.tensor([1.0, -1.0]))
 
 
 @pytest.mark.parametrize("name", SCRIPTED_PLAYERS)
-def test_actions_are_in_range_whatever_is_seen(name):
-    strange = torch.cat(
+def test_actions_are_in_range_at_any_observation(name):
+    extreme = torch.cat(
         [
             states(2000, 1),
             100 * states(2000, 2),
@@ -61,49 +61,49 @@ def test_actions_are_in_range_whatever_is_seen(name):
             states(200, 6)[:, [0, 1, 2, 3, 4, 5, 6, 7, 0, 1, 2, 3]],  # paddle and puck in one place
         ]
     )
-    mean, std = SCRIPTED_PLAYERS[name](strange)
+    mean, std = SCRIPTED_PLAYERS[name](extreme)
     assert mean.isfinite().all() and (mean.abs() <= 1).all()
     assert (std > 0).all()
 
 
 @pytest.mark.parametrize("name", SCRIPTED_PLAYERS)
-def test_answers_like_a_policy(name):
-    seen = states(12).reshape(3, 4, 12)
-    mean, std = SCRIPTED_PLAYERS[name](seen)
+def test_has_the_interface_of_a_policy(name):
+    observation = states(12).reshape(3, 4, 12)
+    mean, std = SCRIPTED_PLAYERS[name](observation)
     assert mean.shape == std.shape == (3, 4, 2) and mean.dtype == std.dtype == torch.float32
-    assert torch.equal(mean[1, 2], SCRIPTED_PLAYERS[name](seen[1, 2])[0])
+    assert torch.equal(mean[1, 2], SCRIPTED_PLAYERS[name](observation[1, 2])[0])
 
 
 def test_the_defender_goes_where_the_puck_comes_over_a_wall():
-    tables = World(1)
-    tables.new_rounds()
-    tables.bodies[0, PUCK] = 0.5, 0.2, -2.0, 1.6
-    decide = player("defender")
+    world = World(1)
+    world.new_rounds()
+    world.bodies[0, PUCK] = 0.5, 0.2, -2.0, 1.6
+    policy = player("defender")
     for _ in range(100):
-        action = decide(torch.from_numpy(tables.observe(LEFT, np.empty((1, 12), dtype=np.float32))))
-        tables.step(np.stack([action.numpy(), np.zeros((1, 2))], axis=1))
-        if tables.touched[0]:
+        action = policy(torch.from_numpy(world.observe(LEFT, np.empty((1, 12), dtype=np.float32))))
+        world.step(np.stack([action.numpy(), np.zeros((1, 2))], axis=1))
+        if world.touched[0]:
             break
-    assert tables.touched[0] == 1
+    assert world.touched[0] == 1
 
 
 @pytest.mark.parametrize("y", [-0.4, 0.0, 0.3])
 @pytest.mark.parametrize(("name", "x"), [("defender", -0.25), ("defender", -0.6), ("striker", -0.4), ("striker", -0.6)])
 def test_a_puck_at_rest_is_sent_into_the_other_half(name, x, y):
-    tables = World(1)
-    tables.new_rounds()
-    tables.bodies[0, PUCK] = x, y, 0.0, 0.0
-    assert sent_across(tables, name)
+    world = World(1)
+    world.new_rounds()
+    world.bodies[0, PUCK] = x, y, 0.0, 0.0
+    assert sent_across(world, name)
 
 
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_puck_behind_the_paddle_is_gone_around(name):
     """Straight to its run-up the paddle would knock the puck into its own goal."""
-    tables = World(1)
-    tables.new_rounds()
-    tables.bodies[0, LEFT] = -0.3, 0.0, 0.0, 0.0
-    tables.bodies[0, PUCK] = -0.6, 0.02, 0.0, 0.0
-    assert sent_across(tables, name)
+    world = World(1)
+    world.new_rounds()
+    world.bodies[0, LEFT] = -0.3, 0.0, 0.0, 0.0
+    world.bodies[0, PUCK] = -0.6, 0.02, 0.0, 0.0
+    assert sent_across(world, name)
 
 
 def test_the_striker_beats_the_random_player_and_the_defender():

@@ -138,8 +138,8 @@ def test_the_summary_counts_the_goals_that_fell(monkeypatch):
     goals = []
 
     class Watched(World):
-        def step(self, actions, ticks=1, rows=None):
-            super().step(actions, ticks, rows)
+        def step(self, actions, ticks=1, indices=None):
+            super().step(actions, ticks, indices)
             goals.append(self.goals.copy())
 
     monkeypatch.setattr(games, "World", Watched)
