@@ -16,10 +16,9 @@ import pandas as pd
 import torch
 from PIL import Image
 
-from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.rendering import draw_table
-from airhockey_marl.envs.world import AGENTS
+from airhockey_marl.envs.world import World, round_steps
 from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.evaluation.policy_std import SITUATIONS
 from airhockey_marl.evaluation.ratings import Proportion, win_rates
@@ -39,6 +38,7 @@ from airhockey_marl.experiment.plotting import (
 )
 from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.players import stochastic
+from airhockey_marl.players.rollout import rollout
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap
@@ -47,6 +47,7 @@ if TYPE_CHECKING:
 SCRIPT_COLORS = (YELLOW, GREEN, PINK, ORANGE, SKY, GRAY)
 MAX_NUMBERS, MAX_LABELS = 12, 26  # members of a payoff matrix that has numbers in its cells, labels along its sides
 MAX_PANELS = 5  # generations with a panel in `matches_figure`
+ROUND_SECONDS = 60.0  # s, of a film's rounds
 
 
 def member_label(member: PlayerId) -> str:
@@ -275,17 +276,17 @@ def film(
         stochastic(league.lineup([member]), torch.Generator().manual_seed(seed + seat))
         for seat, member in enumerate(members)
     )
-    game = AirHockey(frame_skip=frame_skip)
-    seen, _ = game.reset(seed)
-    between = frame_skip * game.world.table.tick
-    players, pictures, palette = dict(zip(AGENTS, (left, right), strict=True)), [], None
+    world = World(1)
+    world.seed(seed)
+    world.new_rounds()
+    between, palette = frame_skip * world.table.tick, None
+    steps = rollout(world, (left, right), frame_skip, round_steps(ROUND_SECONDS, world.table, frame_skip))
+    pictures = []
     for _ in range(max(1, round(seconds / between))):
-        picture = Image.fromarray(draw_table(game.world.bodies[0], game.world.table, width))
+        picture = Image.fromarray(draw_table(world.bodies[0], world.table, width))
         palette = palette or picture.quantize(32)  # one for all pictures: they flicker otherwise
         pictures.append(picture.quantize(palette=palette, dither=Image.Dither.NONE))
-        if not game.agents:
-            seen, _ = game.reset()
-        seen, *_ = game.step({s: player(torch.from_numpy(seen[s])[None])[0].numpy() for s, player in players.items()})
+        next(steps)
     gif = io.BytesIO()
     pictures[0].save(gif, "GIF", save_all=True, append_images=pictures[1:], duration=round(1000 * between), loop=0)
     return gif.getvalue()

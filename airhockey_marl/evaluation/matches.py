@@ -5,12 +5,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
-from airhockey_marl.envs.world import OBSERVATION_SIZE, World, round_steps
+from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.envs.world import World, round_steps
 from airhockey_marl.experiment.validation import check_counts
 from airhockey_marl.league.league import OpponentBatch, PlayerId
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.players.players import Player, act, stochastic
+from airhockey_marl.players.players import Player, stochastic
+from airhockey_marl.players.rollout import rollout
 
 FRAME_SKIP = 2  # a decision is held for so many ticks, in training (conf/env) and in matches
 
@@ -48,23 +49,16 @@ def play_rounds(
         ValueError: a number is out of range, or a player answers with something else than actions.
     """
     check_counts(tables=tables, rounds=rounds)
-    games = World(tables, table)
-    games.seed(seed)
-    games.new_rounds()
-    longest = round_steps(round_seconds, games.table, frame_skip)
-    seen = np.empty((2, tables, OBSERVATION_SIZE), dtype=np.float32)
-    actions = np.empty((tables, 2, 2), dtype=np.float32)
-    score, steps = np.zeros((tables, 3), dtype=np.int64), np.zeros(tables, dtype=np.int64)
-    while (score.sum(axis=1) < rounds).any():
-        for seat, player in ((LEFT, left), (RIGHT, right)):
-            actions[:, seat] = act(player, games.observe(seat, seen[seat]))
-        games.step(actions, frame_skip)
-        steps += 1
-        over = (games.goals != 0) | (steps >= longest)
-        counts = over & (score.sum(axis=1) < rounds)  # a table that has played its rounds plays on unheeded
-        score[counts, 1 - games.goals[counts]] += 1
-        games.new_rounds(over)
-        steps[over] = 0
+    world = World(tables, table)
+    world.seed(seed)
+    world.new_rounds()
+    max_steps = round_steps(round_seconds, world.table, frame_skip)
+    score = np.zeros((tables, 3), dtype=np.int64)
+    for step in rollout(world, (left, right), frame_skip, max_steps):
+        counted = step.done & (score.sum(axis=1) < rounds)  # a table that has played its rounds is not counted further
+        score[counted, 1 - world.goals[counted]] += 1
+        if (score.sum(axis=1) >= rounds).all():
+            break
     return score[:, [0, 2, 1]]
 
 

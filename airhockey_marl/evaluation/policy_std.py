@@ -14,18 +14,20 @@ A decision's STD is the mean over its two axes, in action units; a situation's i
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 import pandas as pd
 import torch
 from torch import Tensor
 
-from airhockey_marl.envs.physics import LEFT, RIGHT, TOUCHED_BY, TableSpec
+from airhockey_marl.envs.physics import LEFT, TOUCHED_BY, TableSpec
 from airhockey_marl.envs.puck_path import seconds_to_goal
 from airhockey_marl.envs.world import OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.experiment.validation import check_counts, check_numbers
-from airhockey_marl.players.players import Player, act
+from airhockey_marl.players.players import Player
+from airhockey_marl.players.rollout import rollout
 
 SAVE_SECONDS, STRIKE_SECONDS, FAR = 0.4, 0.2, 0.8  # s, s, m
 SITUATIONS = ("before a save", "before a strike", "puck far away", "otherwise")
@@ -71,28 +73,25 @@ def record(
     """Let a policy play, sampled as in training, and write down what it saw, meant and did for `seconds` per table."""
     check_counts(0, seed=seed)
     check_numbers(above=0.0, seconds=seconds)
-    games, generator = World(tables, table), torch.Generator().manual_seed(seed)
-    games.seed(seed)
-    games.new_rounds()
-    decisions, longest = (round_steps(time, games.table, frame_skip) for time in (seconds, round_seconds))
+    world, generator = World(tables, table), torch.Generator().manual_seed(seed)
+    world.seed(seed)
+    world.new_rounds()
+    decisions, max_steps = (round_steps(time, world.table, frame_skip) for time in (seconds, round_seconds))
     observation = np.empty((decisions, tables, OBSERVATION_SIZE), dtype=np.float32)
     mean, std, action = np.empty((3, decisions, tables, 2), dtype=np.float32)
     touched, ended = np.empty((2, decisions, tables), dtype=bool)
-    facing, both = np.empty((tables, OBSERVATION_SIZE), dtype=np.float32), np.empty((tables, 2, 2), dtype=np.float32)
-    steps = np.zeros(tables, dtype=np.int64)
-    for now in range(decisions):
-        its_mean, its_std = policy(torch.from_numpy(games.observe(LEFT, observation[now])))
-        mean[now], std[now] = its_mean, its_std
-        action[now] = its_mean + its_std * torch.randn(its_mean.shape, generator=generator)
-        both[:, LEFT] = action[now]
-        both[:, RIGHT] = act(opponent, games.observe(RIGHT, facing))
-        games.step(both, frame_skip)
-        steps += 1
-        over = (games.goals != 0) | (steps >= longest)
-        touched[now], ended[now] = games.touched & TOUCHED_BY[LEFT] != 0, over | games.served
-        games.new_rounds(over)
-        steps[over] = 0
-    return Trajectories(observation, mean, std, action, touched, ended, frame_skip * games.table.tick, games.table)
+    outputs: tuple[Tensor, Tensor]
+
+    def sample(inputs: Tensor) -> Tensor:
+        nonlocal outputs
+        outputs = policy(inputs)
+        return outputs[0] + outputs[1] * torch.randn(outputs[0].shape, generator=generator)
+
+    steps = rollout(world, (sample, opponent), frame_skip, max_steps)
+    for now, step in enumerate(islice(steps, decisions)):
+        observation[now], action[now], (mean[now], std[now]) = step.observation[LEFT], step.action[:, LEFT], outputs
+        touched[now], ended[now] = world.touched & TOUCHED_BY[LEFT] != 0, step.done | world.served
+    return Trajectories(observation, mean, std, action, touched, ended, frame_skip * world.table.tick, world.table)
 
 
 def situations(play: Trajectories) -> np.ndarray:

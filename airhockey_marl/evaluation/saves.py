@@ -19,7 +19,8 @@ from airhockey_marl.envs.puck_path import BLOCKED, CONCEDED, shot_outcome, witho
 from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.experiment.validation import check_counts
-from airhockey_marl.players.players import Player, act
+from airhockey_marl.players.players import Player
+from airhockey_marl.players.rollout import decide
 
 
 class Saves(NamedTuple):
@@ -77,11 +78,10 @@ def count_saves(
     tables.new_rounds()
     empty = without_paddles(tables.table)
     under_fire, counts = np.zeros(rounds, dtype=bool), np.zeros(2, dtype=np.int64)
-    seen = np.empty((2, rounds, OBSERVATION_SIZE), dtype=np.float32)
+    observation = np.empty((2, rounds, OBSERVATION_SIZE), dtype=np.float32)
     actions = np.empty((rounds, 2, ACTION_SIZE), dtype=np.float32)
     for _ in range(round_steps(round_seconds, tables.table, frame_skip)):
-        for seat, chooser in ((LEFT, player), (RIGHT, attacker)):
-            actions[:, seat] = act(chooser, tables.observe(seat, seen[seat]))
+        decide(tables, (player, attacker), observation, actions)
         for _ in range(frame_skip):
             tables.step(actions)
             record(under_fire, counts, tables.bodies, tables.goals, tables.touched, tables.served, empty)

@@ -1,0 +1,56 @@
+"""Rollouts: two players on n tables, decision by decision and round after round."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+
+from airhockey_marl.envs.physics import LEFT, RIGHT
+from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, World
+from airhockey_marl.players.players import Player, act
+
+
+class Step(NamedTuple):
+    """One decision of both players; the arrays are written again in the next step.
+
+    Attributes:
+        observation: (2, n, 12) before the decision, by agent.
+        action: (n, 2, 2).
+        done: (n,) bool, the round ended by a goal or by time.
+    """
+
+    observation: np.ndarray
+    action: np.ndarray
+    done: np.ndarray
+
+
+def decide(world: World, players: tuple[Player, Player], observation: np.ndarray, action: np.ndarray) -> None:
+    """Write what both agents observe into `observation` (2, n, 12) and their actions into `action` (n, 2, 2)."""
+    for agent in (LEFT, RIGHT):
+        action[:, agent] = act(players[agent], world.observe(agent, observation[agent]))
+
+
+def rollout(world: World, players: tuple[Player, Player], frame_skip: int, max_steps: int) -> Iterator[Step]:
+    """Play without end from the world's present state, and yield each step.
+
+    When a step is yielded, `world` is in the state at its end; afterwards new rounds begin where `done`.
+
+    Args:
+        players: the left and the right one.
+        frame_skip: ticks for which an action is held.
+        max_steps: of a round.
+
+    Raises:
+        ValueError: a player returns something else than actions.
+    """
+    observation = np.empty((2, world.n, OBSERVATION_SIZE), dtype=np.float32)
+    action = np.empty((world.n, 2, ACTION_SIZE), dtype=np.float32)
+    steps = np.zeros(world.n, dtype=np.int64)
+    while True:
+        decide(world, players, observation, action)
+        world.step(action, frame_skip)
+        steps += 1
+        done = (world.goals != 0) | (steps >= max_steps)
+        yield Step(observation, action, done)
+        world.new_rounds(done)
+        steps[done] = 0
