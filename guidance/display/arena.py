@@ -10,7 +10,7 @@ from PIL import Image, ImageDraw
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec, action_range
 from airhockey_marl.envs.rendering import COLORS, FELT, SMOOTHING, View, empty_table
 from guidance.display.drawing import Place, picture_of, smooth_polygon
-from guidance.display.film import ARROW, CORNERS, FORCE, PAPER, TARGETS, WANTED, SceneDrawer
+from guidance.display.film import CORNERS, FORCE, PAPER, TARGETS, WANTED, SceneDrawer, arrow_outline
 from guidance.forces.conditions import Prediction
 from guidance.haptics.seat import DisplayState
 
@@ -96,16 +96,9 @@ class Arena:
         surface.blit(mark, mark.get_rect(center=tuple(inside)))
 
     def _draw_force(self, surface: pygame.Surface, start: Place, force: np.ndarray) -> None:
-        newtons = hypot(*force)
-        length = newtons * ARROW * self.scale
-        if length < 2:
-            return
-        head, unit = min(0.6 * length, 0.034 * self.scale), 0.0065 * self.scale
-        half = np.array([(0, unit), (length - head, unit), (length - head, 2.8 * unit), (length, 0)])
-        outline = np.concatenate([half, half[::-1] * [1, -1]])
-        right, up = force / newtons
-        corners = start + outline @ np.array([[right, -up], [-up, -right]])
-        smooth_polygon(surface, corners, FORCE, PAPER)
+        outline = arrow_outline(start, force, self.scale)
+        if outline:
+            smooth_polygon(surface, np.array(outline), FORCE, PAPER)
 
     def _disc(self, radius: float, body: int) -> pygame.Surface:
         size = 2 * round(radius * self.scale) + 4

@@ -100,18 +100,24 @@ class SceneDrawer:
 
     def arrow(self, start: Pixel, force: np.ndarray) -> None:
         """From a place, for a force (2,) in N; y is up."""
-        length = hypot(*force) * ARROW * self.scale
-        if length < self.unit:
-            return
-        head = min(0.6 * length, 13 * self.unit)
-        half = [(0, 2.5), (length - head, 2.5), (length - head, 7), (length, 0)]
-        right, up = force / hypot(*force)
-        outline = [
-            (start[0] + far * right - aside * self.unit * up, start[1] - far * up - aside * self.unit * right)
-            for far, aside in [*half, *((far, -aside) for far, aside in half[::-1])]
-        ]
-        self.pen.polygon(outline, fill=FORCE)
-        self.line([*outline, outline[0]], PAPER, 1)
+        outline = arrow_outline(start, force, self.scale)
+        if outline:
+            self.pen.polygon(outline, fill=FORCE)
+            self.line([*outline, outline[0]], PAPER, 1)
+
+
+def arrow_outline(start: Pixel, force: np.ndarray, scale: float) -> list[Pixel]:
+    """Corners of the arrow of a force (2,) in N on a picture of `scale` pixels per m; none if it is too short to see."""
+    length, unit = hypot(*force) * ARROW * scale, scale / 400
+    if length < unit:
+        return []
+    head = min(0.6 * length, 13 * unit)
+    half = [(0, 2.5), (length - head, 2.5), (length - head, 7), (length, 0)]
+    right, up = force / hypot(*force)
+    return [
+        (start[0] + far * right - aside * unit * up, start[1] - far * up - aside * unit * right)
+        for far, aside in [*half, *((far, -aside) for far, aside in half[::-1])]
+    ]
 
 
 def _box(at: Pixel, radius_x: float, radius_y: float) -> tuple[float, ...]:
