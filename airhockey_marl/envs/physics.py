@@ -113,7 +113,8 @@ def action_range(table: TableSpec) -> tuple[np.ndarray, np.ndarray]:
 
 
 @inlined
-def clamp(value, low, high):
+def clamp(value: float, low: float, high: float) -> float:
+    """`value`, limited to [low, high]."""
     return min(max(value, low), high)
 
 
@@ -318,7 +319,7 @@ def _advance(bodies, seconds):
 
 
 @compiled
-def step_physics(bodies, targets, table):
+def step_physics(bodies: np.ndarray, targets: np.ndarray, table: TableSpec) -> tuple[int, int]:
     """Advance one table by one tick (`table.tick` seconds), in place.
 
     Args:

@@ -1,15 +1,17 @@
 """The free puck: where it goes, when it crosses a line and whether it scores, as long as no paddle is in its way.
 
-One exact forecast and five cheaper ones, which differ in what they neglect (results depend on them bit by bit):
+One simulation and cheaper forecasts, which differ in what they neglect. Results depend on each of them bit for bit:
 
-function                side walls            end walls  drag         posts      used for
-would_score             physics               physics    physics      physics    shots that a policy saves
-puck_at                 restitution           as sides   first order  no         strikes of the scripted players
-line_crossing           restitution           no         no           no         where a scripted player blocks
-heads_for_goal,         restitution           no         no           as goal or the metrics, the meaning of a STD,
-  seconds_to_goal                                                     as wall    strikes of the scripted players
-goal_alignment          mirrors               no         no           no         reward shaping, in torch
-step_expected_puck      restitution, a few    as sides   exponential  as wall    what a simulated person expects
+function                  side walls      end walls   drag         a goal is           used for
+would_score               as `step_physics` does all                                   shots, of the save rate
+puck_at                   restitution     like sides  first order  not considered      strikes of scripted players
+line_crossing             restitution     -           none         -                   blocks of scripted players
+seconds_to_goal_or_post   restitution     -           none         mouth and posts     strikes of scripted players
+seconds_to_goal           restitution     -           none         the mouth           what a STD means
+heads_for_goal            restitution     -           none         between the posts   shots, of the defense rate
+goal_alignment            mirrors         -           none         a Gaussian          reward shaping
+step_expected_puck        restitution,    like sides  exponential  the mouth           what a simulated person
+                            some noticed                                                 expects
 
 Pucks are in an observer's frame, in m and m/s: x toward the opponent, the own goal at x = -length / 2.
 """
@@ -33,22 +35,24 @@ NO_OUTCOME, BLOCKED, CONCEDED = 0, 1, 2  # of a tick, for a shot
 
 
 @compiled
-def coordinate_at(place, velocity, seconds, wall, restitution, max_bounces):
-    """Place and velocity, in one dimension, of a puck between two walls at +-`wall` after `seconds`, without drag."""
+def coordinate_at(
+    position: float, velocity: float, seconds: float, wall: float, restitution: float, max_bounces: int
+) -> tuple[float, float]:
+    """Position and velocity, in one dimension, after `seconds` of a puck between walls at +-`wall`, without drag."""
     for _ in range(max_bounces):
         if velocity == 0.0:
             break
-        until = max((copysign(wall, velocity) - place) / velocity, 0.0)
+        until = max((copysign(wall, velocity) - position) / velocity, 0.0)
         if until >= seconds:
             break
-        place = copysign(wall, velocity)
+        position = copysign(wall, velocity)
         velocity *= -restitution
         seconds -= until
-    return clamp(place + velocity * seconds, -wall, wall), velocity
+    return clamp(position + velocity * seconds, -wall, wall), velocity
 
 
 @compiled
-def puck_at(puck, seconds, table):
+def puck_at(puck: np.ndarray, seconds: float, table: TableSpec) -> tuple[float, float, float, float]:
     """The puck (x, y, vx, vy) after `seconds`: x and y apart, drag to first order, the ends as walls without a goal."""
     kept = 1.0 - table.drag * seconds
     seconds *= 0.5 * (1.0 + kept)
@@ -59,7 +63,7 @@ def puck_at(puck, seconds, table):
 
 
 @compiled
-def line_crossing(puck, line, table):
+def line_crossing(puck: np.ndarray, line: float, table: TableSpec) -> tuple[float, float]:
     """Seconds until the puck crosses x = `line` on its way to the own end, inf if it does not, and its y there.
 
     Without drag, which changes the time a little and the path not at all.
@@ -73,7 +77,7 @@ def line_crossing(puck, line, table):
 
 
 @compiled
-def seconds_to_goal_or_post(puck, table):
+def seconds_to_goal_or_post(puck: np.ndarray, table: TableSpec) -> float:
     """Seconds until the puck is in the own goal or on its posts; inf if it is slow or passes by."""
     seconds, y = line_crossing(puck, -table.length / 2, table)
     return seconds if abs(y) < table.goal / 2 + 0.5 * table.puck_radius else np.inf
@@ -88,7 +92,7 @@ def _goal_line_crossing(x, y, vx, vy, max_bounces, table):
 
 
 @compiled
-def heads_for_goal(x, y, vx, vy, table):
+def heads_for_goal(x: float, y: float, vx: float, vy: float, table: TableSpec) -> bool:
     """Whether the puck, at its present velocity and over the side walls, passes between the posts of the own goal."""
     if vx >= 0.0:
         return False
@@ -132,13 +136,15 @@ def goal_alignment(observation: "Tensor", table: TableSpec) -> "Tensor":
 
 
 @inlined
-def rotate(vx, vy, angle):
+def rotate(vx: float, vy: float, angle: float) -> tuple[float, float]:
     """The vector (vx, vy) turned by `angle` rad."""
     return vx * cos(angle) - vy * sin(angle), vx * sin(angle) + vy * cos(angle)
 
 
 @compiled
-def step_expected_puck(x, y, vx, vy, seconds, bounces, bounce_turn, table):
+def step_expected_puck(
+    x: float, y: float, vx: float, vy: float, seconds: float, bounces: int, bounce_turn: float, table: TableSpec
+) -> tuple[float, float, float, float, int, bool]:
     """Move an expected puck on by one short step: a bounce is noticed at the end of the step in which it happens.
 
     Args:
@@ -180,8 +186,8 @@ def step_expected_puck(x, y, vx, vy, seconds, bounces, bounce_turn, table):
 
 
 @inlined
-def aim_offset(x, y, bank, aim_y, table):
-    """From (x, y) to the place `aim_y` in the opponent's goal, or to its image in a side wall: (ahead, across) in m.
+def aim_offset(x: float, y: float, bank: int, aim_y: float, table: TableSpec) -> tuple[float, float]:
+    """From (x, y) to the point `aim_y` in the opponent's goal, or to its image in a side wall: (ahead, across) in m.
 
     `bank` is the wall that the shot takes: 1 the left one, -1 the right one, 0 none. A wall keeps only a part e of
     the speed across it, so the way back from it counts as 1 / e of its width.
@@ -195,7 +201,7 @@ def aim_offset(x, y, bank, aim_y, table):
 
 
 @inlined
-def shot_direction(x, y, bank, aim_y, table):
+def shot_direction(x: float, y: float, bank: int, aim_y: float, table: TableSpec) -> tuple[float, float]:
     """The unit vector of a shot from (x, y), see `aim_offset`."""
     ahead, across = aim_offset(x, y, bank, aim_y, table)
     distance = hypot(ahead, across)
@@ -208,7 +214,7 @@ def without_paddles(table: TableSpec) -> TableSpec:
 
 
 @compiled
-def would_score(bodies, empty):
+def would_score(bodies: np.ndarray, empty: TableSpec) -> bool:
     """Whether the puck of one table, `bodies` (3, 4), ends in the left goal within `SHOT_HORIZON` if nobody touches it.
 
     Simulated by `step_physics` on the table `empty`, see `without_paddles`, whose paddles stay in the corners, out of
@@ -228,7 +234,7 @@ def would_score(bodies, empty):
 
 
 @inlined
-def shot_outcome(under_fire, threat, by_defender, served, goal):
+def shot_outcome(under_fire: bool, threat: bool, by_defender: bool, served: bool, goal: int) -> int:
     """How one tick ends a shot on the left goal: `NO_OUTCOME`, `BLOCKED` or `CONCEDED`.
 
     Blocked if the defender touched a puck that was on its way into the goal and no longer is, conceded if it scored.

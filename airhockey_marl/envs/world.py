@@ -25,7 +25,7 @@ from airhockey_marl.experiment.validation import check_counts, check_numbers, ch
 
 
 @compiled
-def random_unit(rng, index):
+def random_unit(rng: np.ndarray, index: int) -> float:
     """A uniform number in [0, 1) from the stream `rng[index]`, by splitmix64 (Steele et al. 2014)."""
     rng[index] += np.uint64(0x9E3779B97F4A7C15)
     bits = rng[index]
@@ -36,7 +36,7 @@ def random_unit(rng, index):
 
 
 @compiled
-def serve(bodies, rng, index, table):
+def serve(bodies: np.ndarray, rng: np.ndarray, index: int, table: TableSpec) -> None:
     """Serve: put the puck on the half-way line with random y, side, angle and speed; the paddles stay."""
     puck = bodies[PUCK]
     side = table.width / 2 - table.puck_radius
@@ -57,7 +57,7 @@ def serve(bodies, rng, index, table):
 
 
 @compiled
-def new_round(bodies, timers, rng, index, table):
+def new_round(bodies: np.ndarray, timers: np.ndarray, rng: np.ndarray, index: int, table: TableSpec) -> None:
     """Begin a round: both paddles at rest in the middle of their sides, and a serve."""
     bodies[:, :] = 0.0
     bodies[LEFT, X], bodies[RIGHT, X] = -table.length / 4, table.length / 4
@@ -74,7 +74,7 @@ def _new_rounds(bodies, timers, rng, mask, values):
 
 
 @compiled
-def referee(bodies, timers, rng, index, table):
+def referee(bodies: np.ndarray, timers: np.ndarray, rng: np.ndarray, index: int, table: TableSpec) -> bool:
     """Serve again, after a tick without a goal, if the puck has stalled or was kept in one half for too long.
 
     `timers` (3,) holds the seconds stalled, the seconds in the present half, and that half (-1, 1, or 0 for none yet).
@@ -118,7 +118,7 @@ def _play_tables(indices, bodies, timers, rng, actions, ticks, goals, touched, s
 
 
 @compiled
-def observe(bodies, agent, out):
+def observe(bodies: np.ndarray, agent: int, out: np.ndarray) -> None:
     """Write an agent's observations of n tables into `out` (n, 12): own paddle, other paddle, puck, each x, y, vx, vy.
 
     In m and m/s from the table's center, x toward the opponent: the right agent observes the table after a half turn,

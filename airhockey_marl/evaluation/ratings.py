@@ -25,7 +25,7 @@ from airhockey_marl.players.players import stochastic
 ELO = 400 / log(10)  # points per unit of log-odds
 PRIOR_ROUNDS = 1.0  # drawn against a player of no fixed strength; see `bradley_terry`
 CONFIDENT = stats.norm.isf(0.025)  # half the width of a 95 % interval, in standard errors
-TABLES_AT_ONCE = 250  # more are not faster: from `Tables.PARALLEL_FROM` on they wait for threads
+TABLES_AT_ONCE = 250  # more are not faster: from `World.PARALLEL_FROM` on they wait for threads
 MATCHES = ("generation", "opponent", "won", "lost", "undecided")  # the columns of matches.csv
 
 

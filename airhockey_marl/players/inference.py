@@ -48,7 +48,7 @@ def _linear(inputs, weights, bias, outputs):
 
 
 @njit(cache=True, nogil=True)
-def mlp_forward(inputs, sizes, model):
+def mlp_forward(inputs: np.ndarray, sizes: tuple[int, ...], model: np.ndarray) -> np.ndarray:
     """Outputs (sizes[-1],) float32 of a ReLU network at inputs (sizes[0],) float32, without BLAS.
 
     `model` has, layer by layer, the transposed weights row by row and the biases.
@@ -67,7 +67,7 @@ def mlp_forward(inputs, sizes, model):
 
 
 @njit(cache=True)
-def mlp_forward_blas(inputs, sizes, model):
+def mlp_forward_blas(inputs: np.ndarray, sizes: np.ndarray, model: np.ndarray) -> np.ndarray:
     """As `mlp_forward`, in float64 with BLAS, which rounds differently; `model` has the weights untransposed."""
     hidden, start = inputs, 0
     for layer in range(len(sizes) - 1):

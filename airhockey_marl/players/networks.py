@@ -7,8 +7,6 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from airhockey_marl.experiment.validation import check_tensors
-
 OPTIMAL_ACTION_HIDDEN = (64, 64)  # section 3.2.1, from the paper's grid search
 USER_PREDICTION_HIDDEN = (80, 80, 80, 80)
 
@@ -41,14 +39,10 @@ class ObservationScaling(nn.Module):
         self.register_buffer("scale", scale, persistent=False)
 
     def forward(self, observation: Tensor) -> Tensor:
-        scale = self.scale
-        sound = isinstance(observation, Tensor) and observation.shape[-1:] == (12,) and observation.is_floating_point()
-        if not sound or observation.device != scale.device:  # checked here first: this runs in every tick
-            check_tensors(scale.device, observation=(observation, "... 12"))
         if self.origin == TABLE:
-            return observation / scale
+            return observation / self.scale
         position = observation[..., 8:10] - observation[..., 0:2]
-        return torch.cat([observation[..., :8], position, observation[..., 10:]], dim=-1) / scale
+        return torch.cat([observation[..., :8], position, observation[..., 10:]], dim=-1) / self.scale
 
 
 def check_hidden(hidden: Any, name: str = "hidden") -> None:

@@ -69,7 +69,7 @@ def config(command: str, *overrides: str):
 
 
 def pettingzoo_steps(steps: int = 20_000) -> float:
-    env, stay = AirHockey(), {seat: np.zeros(2, dtype=np.float32) for seat in AGENTS}
+    env, stay = AirHockey(), {agent: np.zeros(2, dtype=np.float32) for agent in AGENTS}
     env.reset(seed=0)
 
     def play() -> None:

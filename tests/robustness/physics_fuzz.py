@@ -17,8 +17,8 @@ import numpy as np
 from numba import njit
 
 from airhockey_marl.envs.physics import (
-    LARGEST,
     LEFT,
+    MAX_VALUES,
     PUCK,
     RIGHT,
     VX,
@@ -67,7 +67,7 @@ def random_tables(rng: np.random.Generator, n: int) -> np.ndarray:
         for place in np.flatnonzero(rng.random(len(usual)) < rng.uniform(0, 0.6)):
             name = TableSpec._fields[place]
             lowest = 1.0 if name == "substeps" else 1e-9
-            highest = 1.0 if name.endswith("restitution") else LARGEST[name]
+            highest = 1.0 if name.endswith("restitution") else MAX_VALUES[name]
             kind = rng.random()
             if kind < 0.1:
                 values[place] = highest

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from airhockey_marl.envs.physics import LARGEST, TableSpec, check_table, step_physics
+from airhockey_marl.envs.physics import MAX_VALUES, TableSpec, check_table, step_physics
 from tests.robustness import physics_fuzz as rough_play
 from tests.robustness.physics_fuzz import FINE, MISSED_POST, NAMES, fuzz, play, random_tables
 
@@ -27,10 +27,10 @@ def test_rough_play_for_a_hundred_million_ticks():
 def test_the_tables_are_as_extreme_as_allowed():
     tables = random_tables(np.random.default_rng(0), 2000)
     for name, values in zip(TableSpec._fields, tables.T, strict=True):
-        largest = max(values[values <= LARGEST[name]])
+        largest = max(values[values <= MAX_VALUES[name]])
         assert values.max() == largest and np.unique(values).size > (8 if name == "substeps" else 100), name
     for name in ("paddle_speed", "paddle_acceleration", "drag", "tick", "wall_restitution", "paddle_restitution"):
-        assert tables[:, TableSpec._fields.index(name)].max() == LARGEST[name], name
+        assert tables[:, TableSpec._fields.index(name)].max() == MAX_VALUES[name], name
 
 
 def spoiled(spoil) -> list[str]:
