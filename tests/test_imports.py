@@ -1,91 +1,125 @@
-"""Who may import whom: the world knows nothing of haptics, leaves no other module, and nobody imports a command.
-
-Leaves may import `checks`, a leaf itself: what an argument is refused with, and no part of what a module is about.
-"""
+"""Architecture: imports only go down the lists of layers, and folders stay small."""
 
 import ast
 from pathlib import Path
 
-import pytest
-
 from tests import ROOT
 
-MODULES = sorted(path for package in ("airhockey_marl", "guidance") for path in (ROOT / package).rglob("*.py"))
-LEAVES = {
-    "airhockey_marl": {"checks", "table", "policy", "trpo", "samplers", "learner", "files"},
-    "guidance": {"maml", "forces", "metrics", "stats", "safety", "clock"},
+# Folders of each package from the bottom up. A module imports its own folder and the layers before it; `guidance` also
+# imports all of `airhockey_marl` but the commands.
+LAYERS = {
+    "airhockey_marl": [
+        {"experiment"},
+        {"envs"},
+        {"players"},
+        {"league", "algorithms"},
+        {"evaluation"},
+        {"self_play"},
+        {"commands"},
+    ],
+    "guidance": [
+        {"forces"},
+        {"simulated_users"},
+        {"user_model", "haptics"},
+        {"study", "display"},
+        {"statistics"},
+        {"sessions"},
+        {"commands"},
+    ],
 }
-COMMANDS = {
-    *(f"airhockey_marl.{name}" for name in ("train", "league_report", "compare", "grid")),
-    *(
-        f"guidance.{name}"
-        for name in (
-            "collect",
-            "battery",
-            "watch",
-            "prediction_report",
-            "meta_train",
-            "calibrate",
-            "evaluate",
-            "replicate",
-            "runs",
-            "play",
-            "lab",
-        )
-    ),
+PACKAGES = tuple(LAYERS)
+# Above all layers: the documented entry points, and examples that use the whole package.
+TOP = {"__main__", "train", "evaluate", "examples"}
+MAX_ENTRIES = 14
+
+MODULES = {
+    ".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path
+    for package in PACKAGES
+    for path in sorted((ROOT / package).rglob("*.py"))
 }
 
 
 def imports(path: Path) -> set[str]:
-    """The project's modules that a file imports, as dotted names."""
-    found = set()
+    """Modules of this project that a file imports, wherever in the file, as dotted names."""
+    names = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            assert node.level == 0, f"{path}: relative import"
-            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-    return {name for name in found if name.split(".")[0] in LEAVES}
+            names |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: relative import"
+            names |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return {name for name in names if name in MODULES}
 
 
-def test_the_world_knows_nothing_of_guidance():
-    for path in MODULES:
-        if path.is_relative_to(ROOT / "airhockey_marl"):
-            assert not [name for name in imports(path) if name.startswith("guidance")], path
+GRAPH = {name: imports(path) - {name} for name, path in MODULES.items()}
 
 
-@pytest.mark.parametrize(
-    ("package", "leaf"), [(package, leaf) for package in LEAVES for leaf in sorted(LEAVES[package])]
-)
-def test_leaves_import_no_other_module_of_the_project(package, leaf):
-    found = imports(ROOT / package / f"{leaf}.py")
-    assert {
-        name for name in found if leaf == "checks" or not name.startswith("airhockey_marl.experiment.validation")
-    } == set()
+def layer(module: str) -> int | None:
+    """Index of a module's layer in its package; None for the package itself and what is above all layers."""
+    package, folder, *_ = [*module.split("."), ""]
+    if folder == "" or folder in TOP:
+        return None
+    (index,) = [number for number, folders in enumerate(LAYERS[package]) if folder in folders]
+    return index
 
 
-def test_commands_are_imported_by_nobody():
-    for path in MODULES:
-        assert not imports(path) & COMMANDS, path
+def test_every_folder_has_a_layer():
+    for package, layers in LAYERS.items():
+        folders = {path.parent.name for path in (ROOT / package).glob("*/__init__.py")}
+        assert folders == set.union(*layers) | ({"examples"} if package == "guidance" else set())
 
 
-def test_imports_run_one_way():
-    """No module imports, directly or not, one that imports it."""
-    of = {".".join(path.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__"): path for path in MODULES}
-    graph = {name: {target for target in imports(path) if target in of} for name, path in of.items()}
-    graph["guidance.simulated_users"] = (
-        set()
-    )  # the package's face imports its rooms, which import each other by full name
-    visiting, done = set(), set()
+def test_imports_go_down():
+    upward = []
+    for module, names in GRAPH.items():
+        package, folder, *_ = [*module.split("."), ""]
+        for name in sorted(names):
+            other_package, other_folder, *_ = [*name.split("."), ""]
+            if layer(module) is None or other_folder in ("", folder) or other_package != package:
+                continue
+            if other_folder in TOP or layer(name) >= layer(module):
+                upward.append(f"{module} imports {name}")
+    assert not upward
 
-    def visit(name: str, trail: tuple[str, ...]) -> None:
-        assert name not in visiting, " -> ".join((*trail, name))
+
+def test_imports_have_no_cycle():
+    visiting, done = [], set()
+
+    def visit(name: str) -> None:
+        assert name not in visiting, " -> ".join((*visiting, name))
         if name not in done:
-            visiting.add(name)
-            for target in graph[name]:
-                visit(target, (*trail, name))
-            visiting.discard(name)
+            visiting.append(name)
+            for target in sorted(GRAPH[name]):
+                visit(target)
+            visiting.pop()
             done.add(name)
 
-    for name in graph:
-        visit(name, ())
+    for name in GRAPH:
+        visit(name)
+
+
+def test_only_entry_points_import_commands():
+    for module, names in GRAPH.items():
+        if module.split(".")[1:] not in (["__main__"], ["train"], ["evaluate"]):
+            commands = {name for name in names if name.startswith(f"{name.split('.')[0]}.commands.")}
+            assert not commands, f"{module} imports {commands}"
+
+
+def test_airhockey_marl_does_not_name_guidance():
+    """Not in an import, and not in a string such as a class path or the module of a command."""
+    named = []
+    for module, path in MODULES.items():
+        if module.startswith("guidance"):
+            continue
+        named += [f"{path}: imports {name}" for name in GRAPH[module] if name.startswith("guidance")]
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Constant) and isinstance(node.value, str) and "guidance." in node.value:
+                named.append(f"{path}:{node.lineno}: {node.value!r}")
+    assert not named
+
+
+def test_folders_of_code_are_small():
+    for package in (*PACKAGES, "tests"):
+        for folder in {path.parent for path in (ROOT / package).rglob("*.py")}:
+            entries = {path.name for path in folder.iterdir()} - {"__pycache__", "__init__.py"}
+            assert len(entries) <= MAX_ENTRIES, f"{folder}: {len(entries)} entries"
