@@ -1,7 +1,6 @@
 """The commands as people run them: whole, on tiny budgets, and with everything that can be typed wrong."""
 
 import json
-import signal
 import subprocess
 import sys
 import time
@@ -24,6 +23,7 @@ from guidance.statistics import report
 from guidance.study.models import Models
 from guidance.study.provenance import file_hashes, manifest
 from tests import ROOT
+from tests.processes import Command, start
 
 COMMANDS = {
     "train": train,
@@ -37,21 +37,13 @@ COMMANDS = {
 }
 
 
-def start(*arguments: str, cwd: Path = ROOT) -> subprocess.CompletedProcess:
-    return subprocess.run(
-        [sys.executable, "-m", *map(str, arguments)], cwd=cwd, capture_output=True, text=True, timeout=300, check=False
-    )
-
-
 def kill_at_the_first_checkpoint(run: Path, *arguments: str) -> Path:
     """Start a command with `run` as its folder, and end it with SIGKILL as soon as it has written its state."""
-    command = [sys.executable, "-m", *arguments, f"hydra.run.dir={run}"]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    command = Command(*arguments, f"hydra.run.dir={run}")
     while not (run / "state.safetensors").exists():
-        assert process.poll() is None
+        assert command.poll() is None, command.stderr.read_text()
         time.sleep(0.001)
-    process.send_signal(signal.SIGKILL)
-    process.wait()
+    command.kill()
     assert not (run / "card.json").exists()
     return run
 

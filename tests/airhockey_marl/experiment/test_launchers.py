@@ -1,18 +1,15 @@
 """Sweeps on many processes: whoever runs the jobs, they come out alike, apart, and whole where others fail."""
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
+from subprocess import CompletedProcess
 
 import pytest
 
 from airhockey_marl.experiment import command as cli
 from airhockey_marl.experiment.run_folder import runs_below
 from guidance.statistics.report import gather
-from tests import ROOT
-from tests.airhockey_marl.commands.test_cli import start
+from tests.processes import start
 
 SEEDS = "seed=1,-1"  # the second is refused
 SWEEP = ["guidance.evaluate", "-m", "+preset=smoke", "condition=nhg,oahg"]
@@ -27,10 +24,8 @@ def one_after_another(tmp_path_factory) -> dict[str, str]:
     return trials_of(folder)
 
 
-def sweep(folder: Path, *more: str, **environment: str) -> subprocess.CompletedProcess:
-    command = [sys.executable, "-m", *SWEEP, *more, f"hydra.sweep.dir={folder}"]
-    env = os.environ | environment
-    return subprocess.run(command, cwd=ROOT, env=env, capture_output=True, text=True, timeout=300, check=False)
+def sweep(folder: Path, *more: str, **environment: str) -> CompletedProcess:
+    return start(*SWEEP, *more, f"hydra.sweep.dir={folder}", env=environment)
 
 
 def trials_of(folder: Path) -> dict[str, str]:
@@ -38,7 +33,7 @@ def trials_of(folder: Path) -> dict[str, str]:
     return {file.parent.name: file.read_text() for file in folder.glob("*/trials.csv")}
 
 
-def check_sweep(folder: Path, done: subprocess.CompletedProcess, expected: dict[str, str]) -> None:
+def check_sweep(folder: Path, done: CompletedProcess, expected: dict[str, str]) -> None:
     """All jobs had folders of their own; those with a right seed are whole and alike, the others are said to fail."""
     assert done.returncode == 2, done.stderr
     assert "\nerror: a job failed: seed = -1 must be a whole number of at least 0;" in "\n" + done.stderr

@@ -17,13 +17,9 @@ from airhockey_marl.experiment.run_folder import lock_run_folder
 from airhockey_marl.experiment.tensorboard import open_writer
 from tests import ROOT
 from tests.airhockey_marl.commands.test_cli import scalars
+from tests.processes import start
 
 TRAIN = ["airhockey_marl.train", "+preset=smoke", "steps_per_generation=500", "pictures_every=0"]
-
-
-def command(*arguments: str, **options) -> subprocess.CompletedProcess:
-    whole = [sys.executable, "-m", *map(str, arguments)]
-    return subprocess.run(whole, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False, **options)
 
 
 def one_line(done: subprocess.CompletedProcess, *parts: str) -> None:
@@ -59,7 +55,7 @@ def test_what_a_killed_process_left_half_written_is_removed_and_nothing_else(tmp
 def trained(tmp_path_factory) -> Path:
     """A run that has come to its second generation, of six."""
     run = tmp_path_factory.mktemp("run") / "run"
-    done = command(*TRAIN, "generations=2", f"hydra.run.dir={run}")
+    done = start(*TRAIN, "generations=2", f"hydra.run.dir={run}")
     assert done.returncode == 0, done.stderr
     file = run / ".hydra" / "config.yaml"
     file.write_text(file.read_text().replace("generations: 2\n", "generations: 6\n"))
@@ -75,7 +71,7 @@ def copy_of(run: Path, to: Path) -> Path:
 def whole(trained, tmp_path_factory) -> Path:
     """The same, gone on with to its end."""
     run = copy_of(trained, tmp_path_factory.mktemp("whole") / "run")
-    assert command("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={run}-log").returncode == 0
+    assert start("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={run}-log").returncode == 0
     return run
 
 
@@ -87,7 +83,7 @@ def test_a_training_that_is_gone_on_with_twice_is_refused_while_it_runs(trained,
     run = copy_of(trained, tmp_path / "run")
     before = state_of(run)
     with lock_run_folder(run, "run"):
-        done = command("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log")
+        done = start("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log")
     assert done.returncode == 2
     one_line(done, f"run = {run} is in use by process {os.getpid()}; one at a time can have it")
     assert state_of(run) == before
@@ -103,11 +99,11 @@ def test_a_file_that_becomes_too_large_stops_a_training_whose_state_stays(traine
     file = run / ".hydra" / "config.yaml"
     for every, name in ((1, "tensorboard"), (0, "league.safetensors")):  # a film is larger than a league
         file.write_text(re.sub("pictures_every: .", f"pictures_every: {every}", file.read_text()))
-        done = command("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log", preexec_fn=small_files)
+        done = start("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log", before=small_files)
         assert done.returncode == 1
         one_line(done, f"{run}/{name} cannot be written: ", "What was saved before is as it was")
         assert state_of(run) == before and not list(run.glob(".*.safetensors"))
-    assert command("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log").returncode == 0
+    assert start("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log").returncode == 0
     assert load_tensors(run / "league.safetensors")[0].keys() == load_tensors(whole / "league.safetensors")[0].keys()
     assert state_of(run)["league.safetensors"] == state_of(whole)["league.safetensors"]
     assert scalars(run) == scalars(whole)
@@ -129,13 +125,13 @@ def test_a_disk_that_is_full_stops_a_training_whose_state_stays(trained, whole, 
         free = os.statvfs(disk).f_bavail * os.statvfs(disk).f_frsize
         (disk / "others").write_bytes(b"x" * (free - 40_000))
         before = state_of(run)
-        done = command("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log")
+        done = start("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log")
         assert done.returncode == 1
         one_line(done, "No space left on device")
         assert load_tensors(run / "state.safetensors") and state_of(run).keys() == before.keys()
         assert not list(run.glob(".*.safetensors"))
         (disk / "others").unlink()
-        assert command("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log").returncode == 0
+        assert start("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log").returncode == 0
         assert state_of(run)["league.safetensors"] == state_of(whole)["league.safetensors"]
         assert scalars(run) == scalars(whole)
     finally:
@@ -148,7 +144,7 @@ def test_a_folder_that_may_not_be_written_to_is_named(tmp_path):
         pytest.skip("mounting is not allowed here")
     try:
         subprocess.run(["mount", "-o", "remount,ro", str(disk)], check=True)
-        done = command(*TRAIN, f"hydra.run.dir={disk}/run")
+        done = start(*TRAIN, f"hydra.run.dir={disk}/run")
         assert done.returncode in (1, 2)
         one_line(done, "Read-only file system")
         with pytest.raises(WriteError, match=rf"{disk}/x cannot be written: Read-only file system"):

@@ -2,7 +2,6 @@
 
 import json
 import signal
-import subprocess
 import sys
 import time
 from collections.abc import Callable
@@ -21,7 +20,7 @@ from guidance.haptics.clock import SimulatedClock
 from guidance.simulated_users.ratings import RATINGS
 from guidance.statistics import report
 from guidance.study.tick_log import read_ticks
-from tests import ROOT
+from tests.processes import Command, start
 
 SMOKE = ["device=simulated", "window=false", "+preset=smoke"]
 
@@ -113,26 +112,29 @@ def test_somebody_withdraws(two):
 
 def test_a_session_that_is_killed_goes_on_and_ends_like_one_that_was_not(two, tmp_path):
     """At whatever moment it is."""
-    command = [sys.executable, "-m", "guidance.commands.lab", *SMOKE, "participant=S1", f"records={tmp_path}/records"]
-    command.append(f"hydra.run.dir={tmp_path}/run")
+    session = session_of_s1(tmp_path)
     beh, rng, kills = tmp_path / "records" / "sub-S1" / "beh", np.random.default_rng(0), 0
     for wanted in rng.permutation(10)[:6]:  # games that are there when it is killed, and some time after
         if len(list(beh.glob("*run-[0-9]_beh.json"))) > wanted:
             continue
-        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        while len(list(beh.glob("*run-[0-9]_beh.json"))) <= wanted and process.poll() is None:
+        command = Command(*session)
+        while len(list(beh.glob("*run-[0-9]_beh.json"))) <= wanted and command.poll() is None:
             time.sleep(0.002)
         time.sleep(rng.uniform(0, 0.3))
-        process.send_signal(signal.SIGKILL)
-        process.wait()
+        command.kill()
         kills += 1
     assert kills >= 2
-    ends_alike(command, tmp_path, two)
+    ends_alike(session, tmp_path, two)
 
 
-def ends_alike(command: list[str], folder: Path, two: Path) -> None:
+def session_of_s1(folder: Path) -> list[str]:
+    records, run = f"records={folder}/records", f"hydra.run.dir={folder}/run"
+    return ["guidance.commands.lab", *SMOKE, "participant=S1", records, run]
+
+
+def ends_alike(session: list[str], folder: Path, two: Path) -> None:
     """Go on with the session of S1 in this folder, to its end: its games are those of S1 in `two`."""
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, check=False)
+    done = start(*session)
     assert done.returncode == 0 and "9 of 9" in done.stdout, done.stderr
     again, whole = (pd.read_csv(place / "records" / "trials.csv") for place in (folder, two))
     pd.testing.assert_frame_equal(again, whole[whole["user"] == "S1"].reset_index(drop=True))
@@ -148,22 +150,21 @@ def test_twenty_kills_of_a_session_leave_no_trace(two, tmp_path):
     rng, kills, sessions, went_on = np.random.default_rng(1), 0, 1, 0
     while kills < 20:
         folder = tmp_path / f"{sessions}"
-        command = [sys.executable, "-m", "guidance.commands.lab", *SMOKE, "participant=S1", f"records={folder}/records"]
-        command.append(f"hydra.run.dir={folder}/run")
+        session = session_of_s1(folder)
         beh = folder / "records" / "sub-S1" / "beh"
         before = len(list(beh.glob("*")))
-        process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE)
-        while rng.random() < 0.9995 and len(list(beh.glob("*"))) == before and process.poll() is None:
+        command = Command(*session)
+        while rng.random() < 0.9995 and len(list(beh.glob("*"))) == before and command.poll() is None:
             time.sleep(0.01)  # seldom before it plays at all
         time.sleep(rng.uniform(0.0, 0.5))
-        process.send_signal(signal.SIGKILL)
-        if process.wait() == 0:
-            ends_alike(command, folder, two)
+        status = command.kill()
+        if status == 0:
+            ends_alike(session, folder, two)
             sessions += 1
             continue
-        assert process.returncode == -signal.SIGKILL, process.stderr.read()
+        assert status == -signal.SIGKILL, command.stderr.read_text()
         kills, went_on = kills + 1, went_on + (before > 0)
-    ends_alike(command, folder, two)
+    ends_alike(session, folder, two)
     assert went_on >= 10
 
 

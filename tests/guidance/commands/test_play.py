@@ -1,8 +1,8 @@
 """The game at the window: keys choose the guidance, play is recorded, the user model becomes the player's own."""
 
 import json
+import os
 import signal
-import subprocess
 import sys
 import time
 from pathlib import Path
@@ -30,8 +30,7 @@ from guidance.study.models import Models
 from guidance.study.protocol import spawn_rng_states
 from guidance.study.provenance import load_conditions
 from guidance.study.tick_log import COLUMNS, demonstration, read_ticks
-from tests import ROOT
-from tests.airhockey_marl.commands.test_cli import start
+from tests.processes import Command, start
 
 TABLE = TableSpec()
 
@@ -193,21 +192,13 @@ def test_the_command_plays_in_real_time_and_says_how_it_went(tmp_path):
 
 
 def test_who_is_told_to_end_ends_well(tmp_path):
-    command = [
-        sys.executable,
-        "-m",
-        "guidance.commands.play",
-        "device=simulated",
-        "seconds=60",
-        f"hydra.run.dir={tmp_path}",
-    ]
-    process = subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, text=True)
-    while not list(tmp_path.glob("*_beh.tsv")) and process.poll() is None:
+    command = Command("guidance.commands.play", "device=simulated", "seconds=600", f"hydra.run.dir={tmp_path}")
+    while not list(tmp_path.glob("*_beh.tsv")) and command.poll() is None:
         time.sleep(0.01)
-    time.sleep(1.0)
-    process.send_signal(signal.SIGTERM)
-    said, _ = process.communicate(timeout=20)
-    assert process.returncode == 0 and "again: airhockey watch" in said
+    time.sleep(0.5)
+    os.kill(command.pid, signal.SIGTERM)
+    done = command.wait()
+    assert done.returncode == 0 and "again: airhockey watch" in done.stdout, done.stderr
     (game,) = games_in(tmp_path).values()
     assert len(game.ticks()) == pytest.approx(game.results["duration_s"] / TABLE.tick)
 

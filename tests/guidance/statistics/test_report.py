@@ -3,11 +3,9 @@
 import base64
 import html
 import json
-import os
 import re
 import shutil
 import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +21,7 @@ from guidance.statistics.paper import compare_with_paper, count_findings, publis
 from guidance.statistics.report import gather, merge, screen_table, write_report
 from guidance.statistics.research_questions import answer_questions
 from guidance.statistics.tests import CONDITIONS, METRICS, check_trials, run_tests
-from tests import ROOT
+from tests.processes import start
 
 WEIGHTS = {"w_unc_optimal": "ci", "w_unc_user": "fi", "w_sim": "hi"}
 SUBJECTIVE = [metric.label for metric in METRICS.values() if metric.kind == "subjective"]
@@ -340,10 +338,7 @@ def test_merge_refuses_nothing(tmp_path):
 
 def report_command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess:
     """Start the command as from a shell in `cwd`, away from the source tree."""
-    command = [sys.executable, "-m", "guidance.commands.report", *arguments]
-    root = ROOT
-    environment = os.environ | {"PYTHONPATH": str(root), "AIRHOCKEY_OUTPUTS": str(cwd / "outputs")}
-    return subprocess.run(command, cwd=cwd, env=environment, capture_output=True, text=True, timeout=120, check=False)
+    return start("guidance.commands.report", *arguments, cwd=cwd, env={"AIRHOCKEY_OUTPUTS": str(cwd / "outputs")})
 
 
 def test_command_merges_and_reports(sweep, tmp_path):

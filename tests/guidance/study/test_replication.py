@@ -8,8 +8,9 @@ from scipy import stats as scipy_stats
 from guidance.commands import replicate
 from guidance.statistics.figures import robustness_map
 from guidance.statistics.robustness import findings_over, leans_on, outcomes_of, scores_of, ua_over, wrong_over
-from tests.airhockey_marl.commands.test_cli import smoke, start
+from tests.airhockey_marl.commands.test_cli import smoke
 from tests.guidance.statistics.test_report import synthetic_trials
+from tests.processes import start
 
 RESULTS = ("outcomes.csv", "studies.csv", "robustness.csv", "factors.csv")
 
