@@ -3,7 +3,9 @@ PYTHON ?= python3
 BIN := .venv/bin
 RUNS ?= $(or $(AIRHOCKEY_OUTPUTS),outputs)
 
-.PHONY: study test test-slow bench board audit lint clean help
+.PHONY: study test test-portable test-slow bench board audit lint types docs hooks third-party clean help
+PYTEST := $(BIN)/python -m pytest
+FAST := -m 'not slow' --numprocesses auto --dist loadfile
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/'
@@ -12,10 +14,17 @@ study: .venv/installed .venv/compiled  ## the nine conditions on simulated peopl
 	$(BIN)/python -m guidance.evaluate
 
 test: .venv/installed .venv/compiled  ## the tests, without the long ones, on all cores
-	$(BIN)/python -m pytest -m 'not slow' --numprocesses auto --dist loadfile
+	$(PYTEST) $(FAST)
+
+test-portable: export NUMBA_CPU_NAME = generic
+test-portable: export NUMBA_CACHE_DIR = $(CURDIR)/.venv/numba-generic
+test-portable: export ATEN_CPU_CAPABILITY = default
+test-portable: .venv/installed  ## the same without the vector instructions of this processor: what rounds otherwise
+	rm -rf $(NUMBA_CACHE_DIR)
+	$(PYTEST) $(FAST)
 
 test-slow: .venv/installed .venv/compiled  ## the long ones
-	$(BIN)/python -m pytest -m slow
+	$(PYTEST) -m slow
 
 bench: .venv/installed .venv/compiled  ## speeds of this machine, as one JSON object
 	@$(BIN)/python -m pip install --quiet --constraint constraints.txt --editable '.[bench]'
@@ -25,15 +34,28 @@ bench: .venv/installed .venv/compiled  ## speeds of this machine, as one JSON ob
 board: .venv/installed  ## TensorBoard on outputs/, or on some of it: make board RUNS=outputs/train
 	$(BIN)/tensorboard --logdir $(RUNS)
 
-# strict, because what the index does not have would pass as sound
+# strict: without it a pin that the index does not have passes as sound
 audit: .venv/installed  ## known vulnerabilities of what is pinned; asks the network
 	$(PYTHON) -m venv .venv/audit
 	.venv/audit/bin/python -m pip install --quiet pip-audit
 	.venv/audit/bin/pip-audit --strict --requirement constraints.txt --no-deps --disable-pip
 
-lint: .venv/installed  ## style
+lint: .venv/installed types  ## style, spelling and types
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
+	$(BIN)/codespell
+
+types: .venv/installed  ## types of the forces, the user model, the league and the algorithms
+	$(BIN)/mypy
+
+docs: .venv/installed  ## API reference from the docstrings, in outputs/docs
+	$(BIN)/pdoc --math --docformat google --output-directory $(RUNS)/docs airhockey_marl guidance
+
+hooks: .venv/installed  ## lint before each commit
+	$(BIN)/pre-commit install
+
+third-party: .venv/installed  ## licenses of all pinned distributions, in .github/THIRD_PARTY.md
+	$(BIN)/python .github/third_party.py
 
 clean:  ## remove the environment and compiled code; outputs/ stays
 	rm -rf .venv *.egg-info

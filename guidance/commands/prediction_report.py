@@ -176,7 +176,7 @@ def by_steps(models: Models, data: Demonstrations, steps: list[int], table: Tabl
 def _after(
     models: Models, steps: int, seen: Tensor, action: Tensor, data: Demonstrations, table: TableSpec
 ) -> dict[str, dict[str, float]]:
-    """rmse and nll, with intervals, on the last games of models adapted to (people, ticks, .), one after another."""
+    """Rmse and nll, with intervals, on the last games of models adapted to (people, ticks, .), one after another."""
     people = []
     for person in range(len(seen)):
         at = slice(person, person + 1)
