@@ -2,6 +2,7 @@
 
 import json
 import math
+import re
 import sys
 from dataclasses import replace
 
@@ -170,7 +171,8 @@ def test_the_report_is_whole(reported):
     assert at["persistence", 0.0] > at["extrapolation", 0.0] > 0
     assert at["extrapolation", 0.3] > at["extrapolation", 0.0]
     page = (reported / "prediction_report.html").read_text()
-    assert page.count("data:image/png;base64,") == 3 and "http" not in page.replace("http-equiv", "")
+    text, pictures = re.subn(r"data:image/png;base64,[A-Za-z0-9+/=]*", "", page)
+    assert pictures == 3 and "http" not in text.replace("http-equiv", "")
     for name in ("ahead", "adaptation", "reliability"):
         assert (reported / f"{name}.png").stat().st_size > 10_000
 
