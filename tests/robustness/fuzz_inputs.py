@@ -1,9 +1,9 @@
-"""Broken and hostile input, case after case: every loader, the configuration and the force layer.
+"""Fuzz every loader, the configuration and the force layer with broken and hostile input.
 
-    python -m tests.robustness.fuzz_inputs 100000        so many cases, and how each kind ended, as JSON
+    python -m tests.robustness.fuzz_inputs 100000        number of cases; prints the outcomes by target as JSON
 
-A case is drawn by its number alone. It ends well where the input was taken or refused by a `ValueError` in one line
-(an `InputError` is one); anything else is a fault, and so is a trace of something that was executed.
+A case follows from its number alone. The outcome is right if the input was accepted, or refused with a `ValueError`
+(such as `InputError`); any other exception is a fault, and so is any sign that input was executed.
 """
 
 import json
@@ -39,12 +39,12 @@ from guidance.statistics.report import merge
 from guidance.study.models import load_user_model
 from guidance.study.tick_log import COLUMNS, read_ticks
 
-TAKEN, REFUSED = "taken", "refused"
+ACCEPTED, REFUSED, FAULT = "accepted", "refused", "fault"
 ODD = [0.0, -0.0, 1e-320, 1e308, -1e308, math.inf, -math.inf, math.nan, 3.0, 1e-9]
 
 
 class Trap:
-    """A pickle that leaves a trace where it is loaded."""
+    """An object whose pickle creates the file `place` when it is loaded."""
 
     def __init__(self, place: Path) -> None:
         self.place = place
@@ -53,28 +53,27 @@ class Trap:
         return (os.system, (f"touch {self.place}",))
 
 
-def refused(task: Callable[[], object]) -> str:
-    """Whether the input of this task was taken or refused; anything else is raised."""
+def outcome(task: Callable[[], object]) -> str:
+    """Outcome of a task that loads input; other exceptions than of a refusal are raised."""
     try:
         task()
     except OmegaConfBaseException:
-        return REFUSED  # which the command line shows in one line
+        return REFUSED  # the command line prints it in one line
     except ValueError as error:
-        text = str(error)
-        assert text.strip(), "refused without a word"
+        assert str(error).strip(), "refused without a message"
         return REFUSED
-    return TAKEN
+    return ACCEPTED
 
 
-def damaged(content: bytes, rng: np.random.Generator) -> bytes:
-    """The same with some bits turned, cut off, repeated, or with something else in it."""
+def damage(content: bytes, rng: np.random.Generator) -> bytes:
+    """A copy that is truncated, or has bits flipped, bytes inserted, or bytes overwritten."""
     kind, data = rng.integers(6), bytearray(content)
     if kind == 0:
         return bytes(data[: rng.integers(len(data))])
     if kind == 1:
         for place in rng.integers(len(data), size=rng.integers(1, 9)):
             data[place] ^= 1 << int(rng.integers(8))
-    elif kind == 2:  # in the header, where it says what is what
+    elif kind == 2:  # in the header
         for place in rng.integers(min(len(data), 200), size=rng.integers(1, 5)):
             data[place] = int(rng.integers(256))
     elif kind == 3:
@@ -90,22 +89,22 @@ def damaged(content: bytes, rng: np.random.Generator) -> bytes:
     return bytes(data)
 
 
-class Case:
-    """What the cases share: good files of every kind, in a folder of their own."""
+class Targets:
+    """Valid files of every kind in a folder; each method that takes a generator fuzzes one loader."""
 
     def __init__(self, folder: Path) -> None:
         self.folder, self.trap = folder, folder / "executed"
         self.file = folder / "input.safetensors"
         policy = GaussianPolicy([4])
         save_tensors(self.file, policy.state_dict(), {**policy.architecture, "inner_lr": 0.1})
-        self.model = self.file.read_bytes(), self.without_hash()
+        self.models = self.file.read_bytes(), self.without_hash()
         league = League(policy)
         for _ in range(2):
             league.add(policy)
         league.save(self.file)
-        self.league = self.file.read_bytes(), self.without_hash()
+        self.leagues = self.file.read_bytes(), self.without_hash()
         self.checkpoint().save(self.file, {"generation": 1})
-        self.state = self.file.read_bytes(), self.without_hash()
+        self.states = self.file.read_bytes(), self.without_hash()
         self.csv = b"user,condition,seed,win_rate,mean_smash_speed,defense_rate,mean_disagreement,helpfulness,"
         self.csv += (
             b"naturalness,controllability,comfort\nS01,nhg,1,.5,2.0,.5,.1,4,4,4,4\nS02,oahg,1,.5,2,.5,.1,4,4,4,4\n"
@@ -123,7 +122,7 @@ class Case:
         )
 
     def without_hash(self) -> bytes:
-        """The file as it is, but of the time before files had a hash: what is turned then is not noticed by it."""
+        """The file without its hash, as older versions wrote it: damage then gets past the hash check."""
         tensors, facts = load_tensors(self.file)
         save_file(tensors, self.file, metadata={"facts": json.dumps(facts)})
         return self.file.read_bytes()
@@ -135,21 +134,21 @@ class Case:
         return path
 
     def tensors(self, rng: np.random.Generator) -> str:
-        return refused(lambda: load_tensors(self.put(damaged(self.model[rng.integers(2)], rng))))
+        return outcome(lambda: load_tensors(self.put(damage(self.models[rng.integers(2)], rng))))
 
     def user_model(self, rng: np.random.Generator) -> str:
-        return refused(lambda: load_user_model(self.put(damaged(self.model[rng.integers(2)], rng))))
+        return outcome(lambda: load_user_model(self.put(damage(self.models[rng.integers(2)], rng))))
 
     def generations(self, rng: np.random.Generator) -> str:
-        return refused(lambda: League.load(self.put(damaged(self.league[rng.integers(2)], rng))))
+        return outcome(lambda: League.load(self.put(damage(self.leagues[rng.integers(2)], rng))))
 
     def training_state(self, rng: np.random.Generator) -> str:
-        return refused(
-            lambda: self.checkpoint().load(self.put(damaged(self.state[rng.integers(2)], rng)), {"generation": int})
+        return outcome(
+            lambda: self.checkpoint().load(self.put(damage(self.states[rng.integers(2)], rng)), {"generation": int})
         )
 
-    def made_up_model(self, rng: np.random.Generator) -> str:
-        """Files that are what they say, and say something strange; with a hash that is right, or none."""
+    def strange_model(self, rng: np.random.Generator) -> str:
+        """Intact files with strange metadata or tensors."""
         facts = {"hidden": [4], "inputs": "table", "inner_lr": 0.1}
         values = [None, "x", -1, 2.5, [], [4, "a"], [2**40], {}, True, [[4]], [0], [4.0], "table", 1e300, [4, 4]]
         facts[str(rng.choice(list(facts)))] = values[rng.integers(len(values))]
@@ -168,15 +167,15 @@ class Case:
             tensors[name + "x"] = tensors[name].clone()
         save_tensors(self.file, tensors, facts)
         load = [load_user_model, League.load][rng.integers(2)]
-        return refused(lambda: load(self.file))
+        return outcome(lambda: load(self.file))
 
     def huge(self, rng: np.random.Generator) -> str:
-        """A header that claims more than there is."""
+        """A header that claims more data than the file has."""
         shape = [int(rng.integers(2**62)) for _ in range(rng.integers(1, 4))]
         header = {"a": {"dtype": "F32", "shape": shape, "data_offsets": [0, int(rng.integers(2**62))]}}
         text = json.dumps(header).encode()
         length = len(text) if rng.random() < 0.5 else int(rng.integers(2**62))
-        result = refused(lambda: load_tensors(self.put(struct.pack("<Q", length) + text)))
+        result = outcome(lambda: load_tensors(self.put(struct.pack("<Q", length) + text)))
         assert result == REFUSED
         return result
 
@@ -187,22 +186,22 @@ class Case:
         else:
             self.put(data)
         load = [load_tensors, load_user_model, League.load][rng.integers(3)]
-        result = refused(lambda: load(self.file))
+        result = outcome(lambda: load(self.file))
         assert result == REFUSED
         return result
 
     def trials(self, rng: np.random.Generator) -> str:
-        path = self.put(damaged(self.csv, rng), "trials/trials.csv")
-        return refused(lambda: merge([path]))
+        path = self.put(damage(self.csv, rng), "trials/trials.csv")
+        return outcome(lambda: merge([path]))
 
     def manifest(self, rng: np.random.Generator) -> str:
         path = self.put(self.csv, "other/trials.csv")
-        self.put(damaged(b'{"study_hash": "ab", "seed": 3, "participants": "people"}', rng), "other/manifest.json")
-        return refused(lambda: merge([path]))
+        self.put(damage(b'{"study_hash": "ab", "seed": 3, "participants": "people"}', rng), "other/manifest.json")
+        return outcome(lambda: merge([path]))
 
     def game(self, rng: np.random.Generator) -> str:
-        path = self.put(damaged(self.tsv, rng), "game.tsv")
-        return refused(lambda: read_ticks(path))
+        path = self.put(damage(self.tsv, rng), "game.tsv")
+        return outcome(lambda: read_ticks(path))
 
     def places(self, rng: np.random.Generator) -> str:
         folder = self.folder / "study"
@@ -212,35 +211,35 @@ class Case:
                 records.participant("P01")
         name = ["participants.tsv", "manifest.json"][rng.integers(2)]
         good = (folder / name).read_bytes()
-        (folder / name).write_bytes(damaged(good, rng))
+        (folder / name).write_bytes(damage(good, rng))
         try:
-            return refused(lambda: Records(folder, facts).close())
+            return outcome(lambda: Records(folder, facts).close())
         finally:
             (folder / name).write_bytes(good)
 
     def label(self, rng: np.random.Generator) -> str:
-        """Ways out of the folder."""
+        """Labels that would lead out of the folder."""
         parts = ["..", "/", "\\", "P1", "\0", ".", "a", "~", "%2e", "CON", "\n", "é", "$(id)", "sub-", " ", "nan"]
         label = "".join(rng.choice(parts, size=rng.integers(0, 5)))
-        result = refused(lambda: check_label(label))
+        result = outcome(lambda: check_label(label))
         assert result == REFUSED or (label.isalnum() and label.isascii() and len(label) <= 16), label
         return result
 
     def config(self, rng: np.random.Generator) -> str:
         self.put(b"", "run/state")
         (self.folder / "run" / ".hydra").mkdir(exist_ok=True)
-        content = damaged(self.yaml, rng)
+        content = damage(self.yaml, rng)
         if rng.random() < 0.3:
             content += f"x: !!python/object/apply:os.system ['touch {self.trap}']\n".encode()
         self.put(content, "run/.hydra/config.yaml")
 
-        def go_on() -> None:
+        def resume() -> None:
             cfg = resumed_config(self.folder / "run", "state")
             require_counts(cfg, "maml.block", "seed")
             require_numbers(cfg, "maml.lr")
             construct(SafetyLimits, cfg.part, "part")
 
-        return refused(go_on)
+        return outcome(resume)
 
     def target(self, rng: np.random.Generator) -> str:
         names = ["os.system", "builtins.exec", "guidance.haptics.servo.ServoProcess", "../trpo", "trpo", ""]
@@ -249,7 +248,7 @@ class Case:
         for _ in range(rng.integers(4)):
             node = [{"deeper": node}, [1, node], {"name": "mixture", "samplers": [node]}][rng.integers(3)]
         registry = (ALGORITHMS, OPPONENT_SAMPLERS)[rng.integers(2)]
-        result = refused(lambda: registry.build(OmegaConf.create({"part": node}).part, "part"))
+        result = outcome(lambda: registry.build(OmegaConf.create({"part": node}).part, "part"))
         assert result == REFUSED
         return result
 
@@ -258,11 +257,11 @@ class Case:
         cfg = OmegaConf.create({"seed": 1, "maml": {"block": values[rng.integers(len(values))]}})
         low = [0.0, -1.0, 1.0][rng.integers(3)]
         if rng.random() < 0.5:
-            return refused(lambda: require_counts(cfg, "maml.block", least=int(low)))
-        return refused(lambda: require_numbers(cfg, "maml.block", above=low, at_most=10.0))
+            return outcome(lambda: require_counts(cfg, "maml.block", least=int(low)))
+        return outcome(lambda: require_numbers(cfg, "maml.block", above=low, at_most=10.0))
 
     def safety(self, rng: np.random.Generator) -> str:
-        """Whatever is asked for, and wherever the hand is: finite, within the limit, no faster than it may change."""
+        """Any request at any state of the hand: the force is finite, within its limit and within its slew rate."""
         limits = SafetyLimits(*np.exp(rng.uniform(-3, 6, 6)).tolist())
         layer, before = Safety(limits), (0.0, 0.0)
 
@@ -274,18 +273,19 @@ class Case:
             velocity = (number(limits.speed / 3), number(limits.speed / 3))
             seconds = ODD[rng.integers(len(ODD))] if rng.random() < 0.05 else float(rng.uniform(1e-4, 0.1))
             force = (number(3 * limits.force), number(3 * limits.force))
-            got = layer.filter(force, abs(number(0.03)), position, velocity, rng.random() < 0.8, seconds)
-            assert math.isfinite(got[0]) and math.isfinite(got[1]) and math.hypot(*got) <= limits.force, got
+            filtered = layer.filter(force, abs(number(0.03)), position, velocity, rng.random() < 0.8, seconds)
+            assert math.isfinite(filtered[0]) and math.isfinite(filtered[1]), filtered
+            assert math.hypot(*filtered) <= limits.force, filtered
             if layer.fault is None:
-                change = math.hypot(got[0] - before[0], got[1] - before[1])
-                assert change <= limits.slew * seconds * (1 + 1e-9) + 1e-12, (got, before)
+                change = math.hypot(filtered[0] - before[0], filtered[1] - before[1])
+                assert change <= limits.slew * seconds * (1 + 1e-9) + 1e-12, (filtered, before)
             else:
-                assert got == (0.0, 0.0)
+                assert filtered == (0.0, 0.0)
                 layer.release()
-            before = got
-        return TAKEN
+            before = filtered
+        return ACCEPTED
 
-    def forces(self, rng: np.random.Generator) -> str:
+    def force_equations(self, rng: np.random.Generator) -> str:
         kind = torch.float32 if rng.random() < 0.5 else torch.float64
 
         def vector() -> torch.Tensor:
@@ -297,36 +297,37 @@ class Case:
         assert force.isfinite().all() and force.double().norm() <= limit * (1 + 1e-5)
         for weight in (similarity_weight(vector(), vector()), uncertainty_weight(vector().abs(), 0.1, 0.5)):
             assert 0 <= weight <= 1
-        return TAKEN
+        return ACCEPTED
 
 
-KINDS = [name for name, value in vars(Case).items() if callable(value) and name[0] != "_"]
-KINDS = [name for name in KINDS if name not in ("checkpoint", "without_hash", "put")]
-SLOW = {"training_state": 4, "places": 8, "pickled": 2, "trials": 4, "game": 2, "config": 4, "manifest": 4}
+HELPERS = ("checkpoint", "without_hash", "put")
+KINDS = [name for name, value in vars(Targets).items() if callable(value) and name[0] != "_" and name not in HELPERS]
+# Relative cost of a case: the expensive ones are drawn less often.
+COST = {"training_state": 4, "places": 8, "pickled": 2, "trials": 4, "game": 2, "config": 4, "manifest": 4}
 
 
 def fuzz(cases: int, seed: int = 0) -> dict:
-    """Try so many cases: how they ended, by kind, and those that were faults."""
-    ended: Counter[tuple[str, str]] = Counter()
+    """Run so many cases: numbers of outcomes by target, and a line per fault."""
+    outcomes: Counter[tuple[str, str]] = Counter()
     faults, began = [], time.perf_counter()
-    chances = np.array([1 / SLOW.get(kind, 1) for kind in KINDS])
+    probabilities = np.array([1 / COST.get(kind, 1) for kind in KINDS])
     with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as folder:
-        shared = Case(Path(folder))
+        targets = Targets(Path(folder))
         for number in range(cases):
             rng = np.random.default_rng([seed, number])
-            kind = str(rng.choice(KINDS, p=chances / chances.sum()))
+            kind = str(rng.choice(KINDS, p=probabilities / probabilities.sum()))
             try:
-                how = getattr(shared, kind)(rng)
-                assert not shared.trap.exists(), "something was executed"
-            except Exception as error:  # of any type: that is what is looked for
-                how = "fault"
+                result = getattr(targets, kind)(rng)
+                assert not targets.trap.exists(), "something was executed"
+            except Exception as error:  # of any type: the fuzz looks for them
+                result = FAULT
                 faults.append(f"{kind} [{seed}, {number}]: {type(error).__name__}: {str(error)[:200]}")
-            ended[kind, how] += 1
-    kinds = {kind: {how: ended[kind, how] for how in (TAKEN, REFUSED, "fault")} for kind in KINDS}
+            outcomes[kind, result] += 1
+    kinds = {kind: {result: outcomes[kind, result] for result in (ACCEPTED, REFUSED, FAULT)} for kind in KINDS}
     return {"cases": cases, "seconds": time.perf_counter() - began, "faults": faults, "kinds": kinds}
 
 
 if __name__ == "__main__":
-    found = fuzz(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0)
-    found["faults"] = found["faults"][:40]
-    print(json.dumps(found, indent=1))
+    results = fuzz(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+    results["faults"] = results["faults"][:40]
+    print(json.dumps(results, indent=1))

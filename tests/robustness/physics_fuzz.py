@@ -1,11 +1,11 @@
-"""Rough play: random tables, states and targets, each tick checked, and compared with a simpler integrator.
+"""Fuzz the physics: random tables, states and targets; each tick is checked, some against a simpler integrator.
 
-    python -m tests.robustness.physics_fuzz 100000000        so many ticks, and what was found, as JSON
+    python -m tests.robustness.physics_fuzz 100000000        number of ticks; prints the findings as JSON
 
-The reference takes each sub-step in many small ones, in which it looks whether the puck is in something, and finds the
-moment of a contact by halving the small step: no roots, no cases, and little in common with `airhockey_marl.envs.physics`. Two
-runs of it, one with other small steps and from a place a hair off, tell what no integrator can know: those are not
-compared, but counted.
+The reference divides each sub-step into many small ones, checks at each whether the puck overlaps something, and finds
+the time of a contact by bisection: no roots, no cases, and little in common with `airhockey_marl.envs.physics`. It runs
+twice, the second time with another step size and from a slightly shifted state: where the two differ, no integrator can
+know the outcome, and the tick is counted as unknowable instead of compared.
 """
 
 import json
@@ -33,14 +33,14 @@ from airhockey_marl.envs.physics import (
 )
 from airhockey_marl.envs.world import random_unit
 
-TICKS = 50  # of an episode
-EPISODES = 100  # at a table
+TICKS = 50  # per episode
+EPISODES = 100  # per table
 COMPARED = 50  # one tick in so many is compared with the reference
-SMALL_STEPS, OTHER_STEPS = 50, 171  # of a sub-step
-HAIR = 1e-9  # m
-# A puck that leaves the mouth of a goal again, askew, is not turned by the post on its way but slides around it: known,
-# and kept, because to mend it would change the bits of ordinary play. So are goals of pucks that a paddle has squeezed
-# past a post and over the line, some of which come a tick late.
+SMALL_STEPS, OTHER_STEPS = 50, 171  # per sub-step, of the two runs of the reference
+SHIFT = 1e-9  # m, of the second run
+# Known deviations, kept because mending them would change the bits of ordinary play: a puck that drifts out of the
+# mouth of a goal slides around the post instead of bouncing off it (MISSED_POST), and the goal of a puck that a paddle
+# squeezes past a post may come a tick late (SQUEEZED).
 UNKNOWABLE, MISSED_POST, SQUEEZED = -1, -2, -3
 FINE, PUCK_NAN, PUCK_OUTSIDE, PADDLE_OUTSIDE, PADDLE_FAST, ENERGY, FAR_OFF, WRONG_GOAL, SHIFTED = range(9)
 NAMES = (
@@ -49,22 +49,22 @@ NAMES = (
     "puck outside",
     "paddle outside",
     "paddle too fast",
-    "energy from nowhere",
-    "not where the reference has it",
-    "another goal than the reference",
-    "moved further than it flew",
+    "energy gained without a touch",
+    "not where the reference puts it",
+    "another goal than the reference's",
+    "moved further than its speed allows",
 )
 
 compiled = njit(cache=True, error_model="numpy", nogil=True)
 
 
 def random_tables(rng: np.random.Generator, n: int) -> np.ndarray:
-    """(n, fields) tables that `check_table` allows: some numbers the usual, some anywhere up to what is allowed."""
+    """(n, fields) tables that `check_table` accepts: some fields at their defaults, others anywhere in their range."""
     tables = []
-    usual = np.array(TableSpec(), dtype=float)
+    default = np.array(TableSpec(), dtype=float)
     while len(tables) < n:
-        values = usual.copy()
-        for place in np.flatnonzero(rng.random(len(usual)) < rng.uniform(0, 0.6)):
+        values = default.copy()
+        for place in np.flatnonzero(rng.random(len(default)) < rng.uniform(0, 0.6)):
             name = TableSpec._fields[place]
             lowest = 1.0 if name == "substeps" else 1e-9
             highest = 1.0 if name.endswith("restitution") else MAX_VALUES[name]
@@ -79,7 +79,7 @@ def random_tables(rng: np.random.Generator, n: int) -> np.ndarray:
                     values[place] = rng.random()
             else:
                 values[place] *= np.exp(rng.normal(0, 1))
-        # of sub-steps mostly few, for a tick takes as long as it has
+        # mostly few sub-steps, because the time of a tick grows with their number
         values[-1] = round(values[-1]) if rng.random() < 0.01 else rng.integers(1, 9)
         try:
             check_table(TableSpec(*values[:-1], int(values[-1])))
@@ -90,29 +90,11 @@ def random_tables(rng: np.random.Generator, n: int) -> np.ndarray:
 
 
 @compiled
-def table_of(values):
-    v = values
-    return TableSpec(
-        v[0],
-        v[1],
-        v[2],
-        v[3],
-        v[4],
-        v[5],
-        v[6],
-        v[7],
-        v[8],
-        v[9],
-        v[10],
-        v[11],
-        v[12],
-        v[13],
-        v[14],
-        v[15],
-        v[16],
-        v[17],
-        int(v[18]),
-    )
+def table_of(v):
+    # fmt: off
+    return TableSpec(v[0], v[1], v[2], v[3], v[4], v[5], v[6], v[7], v[8], v[9], v[10], v[11], v[12], v[13],
+                     v[14], v[15], v[16], v[17], int(v[18]))
+    # fmt: on
 
 
 @compiled
@@ -123,7 +105,7 @@ def overlap(bodies, seat, table):
 
 @compiled
 def begin(bodies, rng, table):
-    """A legal state: paddles in their halves, the puck on the table and in no paddle; False if none was found."""
+    """Draw a legal state: paddles in their halves, the puck on the table and in no paddle; False if none was found."""
     for seat in (LEFT, RIGHT):
         low, high, side = _own_half(seat, table)
         bodies[seat, X] = low + (high - low) * random_unit(rng, 0)
@@ -143,7 +125,7 @@ def begin(bodies, rng, table):
 
 @compiled
 def aim(bodies, targets, rng, table):
-    """Legal targets, and now and then one that is far off, none, or where the puck is."""
+    """Draw legal targets, and sometimes one far off the table, none (NaN), or the place of the puck."""
     for seat in (LEFT, RIGHT):
         low, high, side = _own_half(seat, table)
         kind = random_unit(rng, 0)
@@ -158,8 +140,8 @@ def aim(bodies, targets, rng, table):
 
 
 @compiled
-def in_something(x, y, vx, vy, bodies, ahead, table):
-    """What the puck is in and moves into, `ahead` seconds on: (which, normal x, normal y, its velocity x and y)."""
+def find_contact(x, y, vx, vy, bodies, ahead, table):
+    """What the puck overlaps and moves into, `ahead` seconds on: (index or -1, normal x, y, its velocity x, y)."""
     px, py = x + vx * ahead, y + vy * ahead
     for seat in (LEFT, RIGHT):
         wx, wy = bodies[seat, VX], bodies[seat, VY]
@@ -182,8 +164,8 @@ def in_something(x, y, vx, vy, bodies, ahead, table):
 
 
 @compiled
-def nearest(puck, bodies, small, table):
-    """When in the next `small` seconds the puck is nearest to a paddle or post that it touches then; else `small`."""
+def time_to_nearest(puck, bodies, small, table):
+    """Time within `small` s at which the puck is nearest to a paddle or post that it then touches; else `small`."""
     for thing in range(6):
         if thing < 2:
             x, y, vx, vy = bodies[thing, X], bodies[thing, Y], bodies[thing, VX], bodies[thing, VY]
@@ -193,14 +175,14 @@ def nearest(puck, bodies, small, table):
         x, y, vx, vy = puck[X] - x, puck[Y] - y, puck[VX] - vx, puck[VY] - vy
         speed2 = vx * vx + vy * vy
         ahead = -0.999999 * (x * vx + y * vy) / speed2 if speed2 > 0 else 0.0
-        if 0 < ahead < small and in_something(puck[X], puck[Y], puck[VX], puck[VY], bodies, ahead, table)[0] >= 0:
+        if 0 < ahead < small and find_contact(puck[X], puck[Y], puck[VX], puck[VY], bodies, ahead, table)[0] >= 0:
             small = ahead
     return small
 
 
 @compiled
 def reference(bodies, targets, table, steps):
-    """A tick in small steps, in place: (goal, most contacts of a sub-step, whether it met a post on its way out)."""
+    """Advance a tick in small steps, in place: (goal, most contacts in a sub-step, met a post on the way out)."""
     dt, most, met, puck = table.tick / table.substeps, 0, False, bodies[PUCK]
     for _ in range(table.substeps):
         for seat in (LEFT, RIGHT):
@@ -215,17 +197,17 @@ def reference(bodies, targets, table, steps):
             puck[VY] *= slower
         contacts, left = 0, dt
         while left > 0:
-            small = nearest(puck, bodies, min(left, dt / steps), table)
-            which, _, _, _, _ = in_something(puck[X], puck[Y], puck[VX], puck[VY], bodies, small, table)
+            small = time_to_nearest(puck, bodies, min(left, dt / steps), table)
+            which, _, _, _, _ = find_contact(puck[X], puck[Y], puck[VX], puck[VY], bodies, small, table)
             if which >= 0:
                 low, high = 0.0, small
                 for _ in range(60):
                     middle = (low + high) / 2
-                    if in_something(puck[X], puck[Y], puck[VX], puck[VY], bodies, middle, table)[0] >= 0:
+                    if find_contact(puck[X], puck[Y], puck[VX], puck[VY], bodies, middle, table)[0] >= 0:
                         high = middle
                     else:
                         low = middle
-                which, nx, ny, wx, wy = in_something(puck[X], puck[Y], puck[VX], puck[VY], bodies, high, table)
+                which, nx, ny, wx, wy = find_contact(puck[X], puck[Y], puck[VX], puck[VY], bodies, high, table)
                 small = high
             for body in range(3):
                 bodies[body, X] += bodies[body, VX] * small
@@ -247,8 +229,8 @@ def reference(bodies, targets, table, steps):
 
 
 @compiled
-def wrong_alone(before, bodies, goal, touched, still, table):
-    """What is wrong with a tick that can be seen without a reference."""
+def check_tick(before, bodies, goal, touched, still, table):
+    """Fault of a tick that shows without a reference."""
     for body in range(3):
         for column in range(4):
             if not np.isfinite(bodies[body, column]):
@@ -263,7 +245,7 @@ def wrong_alone(before, bodies, goal, touched, still, table):
     furthest = end if abs(puck[Y]) < table.goal / 2 else end - table.puck_radius
     if goal == 0 and not squeezed and abs(puck[X]) > furthest + room:
         return PUCK_OUTSIDE
-    if goal != 0:  # a fast puck has flown on behind the line; it went over it in the mouth
+    if goal != 0:  # a fast puck is beyond the line already; it must have crossed it in the mouth
         crossed = puck[Y] - puck[VY] * (puck[X] - goal * end) / puck[VX]
         if goal * puck[X] <= end:
             return PUCK_OUTSIDE
@@ -286,7 +268,7 @@ def wrong_alone(before, bodies, goal, touched, still, table):
         if touched == 0 and flew > was * table.tick * (1 + 1e-9) + room:
             unmoved = overlap(before, LEFT, table) <= 0 and overlap(before, RIGHT, table) <= 0
             unmoved = unmoved and abs(before[PUCK, X]) < end - table.puck_radius  # nor off a post, see MISSED_POST
-            for seat in (LEFT, RIGHT):  # else a squeeze, from which the puck is taken out
+            for seat in (LEFT, RIGHT):  # else a squeeze, out of which the physics moves the puck
                 unmoved = unmoved and overlap(bodies, seat, table) < -room
             if unmoved:
                 return SHIFTED
@@ -296,17 +278,17 @@ def wrong_alone(before, bodies, goal, touched, still, table):
 
 
 @compiled
-def beside_reference(before, bodies, goal, targets, table):
-    """What is wrong with a tick beside the reference; UNKNOWABLE where no integrator can know, or MISSED_POST."""
+def compare_tick(before, bodies, goal, targets, table):
+    """Fault of a tick against the reference; UNKNOWABLE where no integrator can know the outcome, or MISSED_POST."""
     one, other = before.copy(), before.copy()
     for seat in (LEFT, RIGHT):
-        if overlap(before, seat, table) > 0:  # squeezed already
+        if overlap(before, seat, table) > 0:  # squeezed before the tick
             return UNKNOWABLE
     fastest = max(table.paddle_speed, hypot(before[PUCK, VX], before[PUCK, VY]))
-    if 2 * fastest * table.tick / table.substeps / SMALL_STEPS > table.puck_radius:  # it would step over things itself
-        return UNKNOWABLE
-    other[PUCK, X] += HAIR
-    other[PUCK, Y] -= HAIR
+    if 2 * fastest * table.tick / table.substeps / SMALL_STEPS > table.puck_radius:
+        return UNKNOWABLE  # the reference itself would step over bodies
+    other[PUCK, X] += SHIFT
+    other[PUCK, Y] -= SHIFT
     goal_one, contacts, met = reference(one, targets, table, SMALL_STEPS)
     goal_other, others, _ = reference(other, targets, table, OTHER_STEPS)
     if contacts > 3 or others > 3 or goal_one != goal_other:
@@ -314,19 +296,19 @@ def beside_reference(before, bodies, goal, targets, table):
     for column in range(4):
         if abs(one[PUCK, column] - other[PUCK, column]) > 1e-6:
             return UNKNOWABLE
-    wrong = FINE
+    fault = FINE
     if goal != goal_one:
-        wrong = WRONG_GOAL
+        fault = WRONG_GOAL
     elif goal == 0:
         for column in range(2):
             if abs(one[PUCK, column] - bodies[PUCK, column]) > 1e-4:
-                wrong = FAR_OFF
-    return MISSED_POST if wrong != FINE and met else wrong
+                fault = FAR_OFF
+    return MISSED_POST if fault != FINE and met else fault
 
 
 @compiled
 def play(values, seed, ticks, compared):
-    """Play an episode: (what is wrong, at which tick, ticks played, compared, unknowable, missed, squeezed)."""
+    """Play an episode: (fault, its tick, ticks played, compared, unknowable, missed posts, squeezed goals)."""
     table, rng = table_of(values), np.array([seed], dtype=np.uint64)
     bodies, targets = np.zeros((3, 4)), np.zeros((2, 2))
     known = unknown = missed = squeezed = 0
@@ -341,17 +323,17 @@ def play(values, seed, ticks, compared):
             aim(bodies, targets, rng, table)
         before = bodies.copy()
         goal, touched = step_physics(bodies, targets, table)
-        wrong = wrong_alone(before, bodies, goal, touched, still, table)
-        squeezed += wrong == SQUEEZED
-        wrong = max(wrong, FINE)
-        if wrong == FINE and random_unit(rng, 0) * compared < 1.0:
-            wrong = beside_reference(before, bodies, goal, targets, table)
-            unknown += wrong == UNKNOWABLE
-            missed += wrong == MISSED_POST
-            known += wrong >= FINE
-            wrong = max(wrong, FINE)
-        if wrong != FINE:
-            return wrong, number, number + 1, known, unknown, missed, squeezed
+        fault = check_tick(before, bodies, goal, touched, still, table)
+        squeezed += fault == SQUEEZED
+        fault = max(fault, FINE)
+        if fault == FINE and random_unit(rng, 0) * compared < 1.0:
+            fault = compare_tick(before, bodies, goal, targets, table)
+            unknown += fault == UNKNOWABLE
+            missed += fault == MISSED_POST
+            known += fault >= FINE
+            fault = max(fault, FINE)
+        if fault != FINE:
+            return fault, number, number + 1, known, unknown, missed, squeezed
         if goal != 0:
             return FINE, number, number + 1, known, unknown, missed, squeezed
     return FINE, ticks, ticks, known, unknown, missed, squeezed
@@ -359,44 +341,44 @@ def play(values, seed, ticks, compared):
 
 @compiled
 def play_many(tables, seeds, ticks, compared, counts, failures):
-    """Episodes of row i are played at table i; failures (rows, 3) is what, which seed and which tick, of the last."""
+    """Play the episodes of row i at table i; failures (rows, 3): fault, seed and tick of its last failure."""
     for row in range(len(tables)):
         for seed in seeds[row]:
-            wrong, number, played, known, unknown, missed, squeezed = play(tables[row], seed, ticks, compared)
+            fault, number, played, known, unknown, missed, squeezed = play(tables[row], seed, ticks, compared)
             counts[0] += played
             counts[1] += known
             counts[2] += unknown
             counts[3] += missed
             counts[4] += squeezed
-            if wrong != FINE:
-                counts[5 + wrong] += 1
-                failures[row, 0], failures[row, 1], failures[row, 2] = wrong, seed, number
+            if fault != FINE:
+                counts[5 + fault] += 1
+                failures[row, 0], failures[row, 1], failures[row, 2] = fault, seed, number
 
 
-def fuzz(least: int, seed: int = 0, tables: int = 200, episodes: int = EPISODES) -> dict:
-    """Play at least so many ticks: how many there were, what was wrong how often, and cases to play again."""
+def fuzz(min_ticks: int, seed: int = 0, tables: int = 200, episodes: int = EPISODES) -> dict:
+    """Play at least so many ticks: number of ticks, faults by name, and the cases to reproduce them."""
     rng, counts, cases, began = np.random.default_rng(seed), np.zeros(5 + len(NAMES), np.int64), [], time.perf_counter()
-    while counts[0] < least:
+    while counts[0] < min_ticks:
         values = random_tables(rng, tables)
         seeds = rng.integers(0, 2**62, (tables, episodes)).astype(np.uint64)
         failures = np.zeros((tables, 3), np.uint64)
         play_many(values, seeds, TICKS, COMPARED, counts, failures)
         for row in np.flatnonzero(failures[:, 0]):
-            what, number, at = failures[row].tolist()
-            cases.append({"what": NAMES[what], "seed": number, "tick": at, "table": values[row].tolist()})
+            fault, number, tick = failures[row].tolist()
+            cases.append({"fault": NAMES[fault], "seed": number, "tick": tick, "table": values[row].tolist()})
     return {
         "ticks": int(counts[0]),
         "compared": int(counts[1]),
         "unknowable": int(counts[2]),
         "missed_posts": int(counts[3]),
         "squeezed_goals": int(counts[4]),
-        "wrong": {NAMES[what]: int(counts[5 + what]) for what in range(1, len(NAMES)) if counts[5 + what]},
+        "faults": {NAMES[fault]: int(counts[5 + fault]) for fault in range(1, len(NAMES)) if counts[5 + fault]},
         "cases": cases,
         "seconds": time.perf_counter() - began,
     }
 
 
 if __name__ == "__main__":
-    found = fuzz(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0)
-    found["cases"] = found["cases"][:20]
-    print(json.dumps(found, indent=1))
+    result = fuzz(int(sys.argv[1]), int(sys.argv[2]) if len(sys.argv) > 2 else 0)
+    result["cases"] = result["cases"][:20]
+    print(json.dumps(result, indent=1))
