@@ -90,7 +90,9 @@ def test_train_learns_from_pettingzoo_what_it_learns_from_the_batch(trained, tmp
     assert first["hashes"] == second["hashes"]
 
 
-@pytest.mark.parametrize("how", ["env=batched", "env=pettingzoo", "collector=multisync"])
+@pytest.mark.parametrize(
+    "how", ["env=batched", "env=pettingzoo", pytest.param("collector=multisync", marks=pytest.mark.slow)]
+)
 def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, how):
     """SIGKILL as soon as the first generation is behind it; the league and the card's scores are then the same."""
     few = ["+preset=smoke", "generations=4", "steps_per_generation=500", how]

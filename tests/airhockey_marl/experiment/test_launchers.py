@@ -45,6 +45,7 @@ def check_sweep(folder: Path, done: CompletedProcess, expected: dict[str, str]) 
         assert "seed = -1" in json.loads((folder / str(job) / "run.json").read_text())["error"]
 
 
+@pytest.mark.slow
 def test_joblib_runs_them_side_by_side(one_after_another, tmp_path):
     done = sweep(tmp_path, SEEDS, "hydra/launcher=cores", "hydra.launcher.n_jobs=2")
     check_sweep(tmp_path, done, one_after_another)
