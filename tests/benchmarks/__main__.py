@@ -1,7 +1,7 @@
-"""Speeds of this machine as one JSON object on standard output: `make bench`.
+"""Benchmarks of this machine, as one JSON object on standard output: `make bench`.
 
-Each figure is the median of a few runs after a warm-up. Ratios compare two ways in the same run, so they mean more
-than any figure alone where a machine is shared.
+Each figure is the median of a few runs after a warm-up. Ratios compare two methods in the same run; on a shared machine
+they tell more than absolute figures.
 """
 
 import json
@@ -49,7 +49,7 @@ from tests.benchmarks.servo import servo_jitter
 
 
 def seconds(task: Callable[[], object], runs: int = 5) -> float:
-    """Median time of a call, after one that is not counted."""
+    """Median time of a call in s, after a warm-up call."""
     task()
     times = []
     for _ in range(runs):
@@ -94,19 +94,19 @@ def batched_ticks(tables: int = 4096, ticks: int = 100) -> float:
     return tables * ticks / seconds(play)
 
 
-def collected_frames(how: CollectorConfig, batch: int = 5000, tables: int = 250) -> float:
-    """Of the learner and a line-up of 25, weights and random numbers told before each batch, as in training."""
+def collected_frames(config: CollectorConfig, batch: int = 5000, tables: int = 250) -> float:
+    """Frames/s of the learner against 25 opponents, with new weights and random numbers per batch, as in training."""
     policy = GaussianPolicy()
     env = {"backend": "batched", "tables": tables, "round_seconds": 30.0, "frame_skip": 2}
     league, weights = League(policy), policy.state_dict()
     league.add(policy)
-    with closing(RolloutWorkers(how, env, 0, policy, batch)) as crew, torch.no_grad():
-        crew.begin(league.lineup([0] * 25))
-        return batch / seconds(lambda: crew.play(weights), runs=20)
+    with closing(RolloutWorkers(config, env, 0, policy, batch)) as workers, torch.no_grad():
+        workers.begin(league.lineup([0] * 25))
+        return batch / seconds(lambda: workers.play(weights), runs=20)
 
 
 def trained_frames(*overrides: str, generations: int = 2, steps: int = 100_000) -> float:
-    """End to end: collection, advantages, update, freezing, matches, writing."""
+    """Frames/s of training end to end: collection, advantages, update, freezing, matches, files."""
     cfg = config("train", f"generations={generations}", f"steps_per_generation={steps}", *overrides)
     policy = GaussianPolicy(cfg.hidden, cfg.inputs)
     learner, sampler = (
@@ -114,17 +114,17 @@ def trained_frames(*overrides: str, generations: int = 2, steps: int = 100_000) 
         OPPONENT_SAMPLERS.build(cfg.league.sampler, "league.sampler"),
     )
     with (
-        closing(RolloutWorkers(CollectorConfig(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)) as crew,
+        closing(RolloutWorkers(CollectorConfig(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)) as workers,
         tempfile.TemporaryDirectory() as folder,
     ):
-        took = seconds(lambda: train_league(cfg, Path(folder), policy, learner, crew, sampler), runs=1)
-    return generations * steps / took
+        elapsed = seconds(lambda: train_league(cfg, Path(folder), policy, learner, workers, sampler), runs=1)
+    return generations * steps / elapsed
 
 
 def maml_steps(users: int = 9, ticks: int = 1000) -> dict[str, float]:
-    """ms of a second-order meta-step of nine users by the fastest number of threads: ours, compiled, and the peer's.
+    """Time in ms of a second-order meta-step of nine users: ours, ours compiled, and the peer's.
 
-    Runs take turns, so that a slow moment of the machine slows all of them.
+    Each with its fastest number of threads; runs alternate, so that a slow moment of the machine slows all of them.
     """
     torch.manual_seed(0)
     model, peer = GaussianPolicy(USER_PREDICTION_HIDDEN), peer_maml()
@@ -159,11 +159,11 @@ def maml_steps(users: int = 9, ticks: int = 1000) -> dict[str, float]:
     for threads in range(1, 1 + min(4, os.cpu_count() or 1)):
         torch.set_num_threads(threads)
         times: dict[str, list[float]] = {name: [] for name in steps}
-        for turn in range(12):
+        for run in range(12):
             for name, step in steps.items():
                 began = time.perf_counter()
                 step()
-                if turn:  # the first compiles
+                if run:  # the first compiles
                     times[name].append(1000 * (time.perf_counter() - began))
         best = {name: min(best[name], statistics.median(times[name])) for name in steps}
     torch.set_num_threads(1)
@@ -171,12 +171,13 @@ def maml_steps(users: int = 9, ticks: int = 1000) -> dict[str, float]:
 
 
 def people_tick(n: int, ticks: int = 200) -> float:
-    """ms that a tick of n simulated people with mentors takes, in play against others like them."""
-    mentors = load_advisors(config("evaluate").users.mentors)
+    """Time in ms of a tick of n simulated users with advisors, in play against others like them."""
+    advisors = load_advisors(config("evaluate").users.mentors)
     sides = [
-        SimulatedUsers(sample_people(n, seat), personal_streams(n, seat), TableSpec(), "V1", mentors) for seat in (0, 1)
+        SimulatedUsers(sample_people(n, seat), personal_streams(n, seat), TableSpec(), "V1", advisors)
+        for seat in (0, 1)
     ]
-    tables, force, actions, spent = World(n), np.zeros((n, 2)), np.zeros((n, 2, 2)), 0.0
+    tables, force, actions, elapsed = World(n), np.zeros((n, 2)), np.zeros((n, 2, 2)), 0.0
     tables.new_rounds()
     states = np.empty((2, n, 12))
     for tick in range(ticks):
@@ -184,15 +185,15 @@ def people_tick(n: int, ticks: int = 200) -> float:
             tables.observe(seat, states[seat])
         began = time.perf_counter()
         actions[:, 0] = sides[0].step(states[0], force)
-        if tick >= ticks // 4:  # the first ticks compile, and nobody has seen anything yet
-            spent += time.perf_counter() - began
+        if tick >= ticks // 4:  # the first ticks compile, and no user has perceived anything yet
+            elapsed += time.perf_counter() - began
         actions[:, 1] = sides[1].step(states[1], force)
         tables.step(actions)
-    return 1000 * spent / (ticks - ticks // 4)
+    return 1000 * elapsed / (ticks - ticks // 4)
 
 
 def study() -> float:
-    """The default study: 20 people, nine conditions, the shipped models."""
+    """Time in s of the default study: 20 users, nine conditions, the shipped models."""
     cfg = config("evaluate")
     models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
     run = partial(

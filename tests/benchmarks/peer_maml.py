@@ -1,7 +1,7 @@
-"""The peer of our meta-step: learn2learn's MAML class.
+"""Peer of the meta-step: the MAML class of learn2learn.
 
-Its package does not build on Python 3.11 and later, but the class needs only three files, which `make bench` takes from
-its source distribution, unchanged, into the folder of the environment. Without that file there is no peer.
+Its package does not build on Python 3.11 and later, but the class needs only three files. They are imported unchanged
+from the source distribution that `make bench` downloads; without it there is no peer.
 """
 
 import importlib
@@ -15,7 +15,7 @@ NEEDED = ("algorithms/maml.py", "algorithms/base_learner.py", "utils/__init__.py
 
 
 def peer_maml() -> ModuleType | None:
-    """learn2learn's module `algorithms.maml`, or None where its source distribution is not at hand."""
+    """Module `algorithms.maml` of learn2learn, or None without its source distribution."""
     archives = sorted((Path(sys.prefix) / "peers").glob("learn2learn-*.tar.gz"))
     if not archives:
         return None

@@ -1,9 +1,9 @@
-"""The peer of our training: sb3-contrib's TRPO at the same game, with the settings of `conf/train.yaml`.
+"""Peer of the training: TRPO of sb3-contrib at the same game, with the settings of `conf/train.yaml`.
 
-It gets its best case: all tables are stepped by one compiled call in this process, the opponent is one frozen policy in
-one forward pass, Adam is fused, nothing is logged or written, and of several numbers of tables the fastest counts. Its
-policy has one STD for all states where ours has a head for them, which is a little less work. It does more where our
-`fisher_subsample` is below 1: it has no such setting.
+It runs in its best case: one compiled call steps all tables in this process, the opponent is one frozen policy in one
+forward pass, Adam is fused, nothing is logged or written, and the fastest of several numbers of tables counts. Its
+policy has one STD for all states and ours a head, which is slightly less work; it uses all states in the Fisher matrix,
+which is more work where `fisher_subsample` is below 1.
 """
 
 import statistics
@@ -34,52 +34,54 @@ except ModuleNotFoundError:  # without the extra `bench` there is no peer; a bro
 
 
 class TablesVecEnv(VecEnv):
-    """n tables as Stable-Baselines3 wants them: the learner at the left of each, a new round where one is over."""
+    """n tables behind the interface of Stable-Baselines3: the learner plays left, rounds restart when they end."""
 
     def __init__(self, n: int, round_seconds: float, frame_skip: int, opponent: Player) -> None:
-        seen = Box(-np.inf, np.inf, (OBSERVATION_SIZE,), dtype=np.float32)
-        super().__init__(n, seen, Box(-1.0, 1.0, (ACTION_SIZE,), dtype=np.float32))
+        observation = Box(-np.inf, np.inf, (OBSERVATION_SIZE,), dtype=np.float32)
+        super().__init__(n, observation, Box(-1.0, 1.0, (ACTION_SIZE,), dtype=np.float32))
         self.tables, self.opponent, self.frame_skip = World(n), opponent, frame_skip
         self.max_steps = round_steps(round_seconds, self.tables.table, frame_skip)
         self._steps = np.zeros(n, dtype=np.int64)
         self._actions = np.zeros((n, 2, ACTION_SIZE), dtype=np.float32)
-        self._theirs = np.empty((n, OBSERVATION_SIZE), dtype=np.float32)
-        self._nothing: list[dict[str, Any]] = [{}] * n  # SB3 reads a dict per table and step; it may be the same one
+        self._opponent_observation = np.empty((n, OBSERVATION_SIZE), dtype=np.float32)
+        self._empty: list[dict[str, Any]] = [{}] * n  # SB3 reads a dict per table and step; one object serves for all
 
     def reset(self) -> np.ndarray:
         self.tables.new_rounds()
         self._steps[:] = 0
-        return self._seen()
+        return self._observe()
 
     def step_async(self, actions: np.ndarray) -> None:
         self._actions[:, LEFT] = actions
-        self._actions[:, RIGHT] = self.opponent(torch.from_numpy(self.tables.observe(RIGHT, self._theirs))).numpy()
+        self._actions[:, RIGHT] = self.opponent(
+            torch.from_numpy(self.tables.observe(RIGHT, self._opponent_observation))
+        ).numpy()
 
     def step_wait(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[dict[str, Any]]]:
         self.tables.step(self._actions, self.frame_skip)
         self._steps += 1
-        goals = self.tables.goals.astype(np.float32)  # a copy: SB3 adds the values of rounds that were cut off
+        goals = self.tables.goals.astype(np.float32)  # a copy: SB3 adds the values of truncated rounds in place
         over = (goals != 0) | (self._steps >= self.max_steps)
-        seen, infos = self._seen(), self._nothing
+        observation, infos = self._observe(), self._empty
         if over.any():
             infos = infos.copy()
             for i in np.flatnonzero(over):
-                infos[i] = {"terminal_observation": seen[i], "TimeLimit.truncated": goals[i] == 0}
+                infos[i] = {"terminal_observation": observation[i], "TimeLimit.truncated": goals[i] == 0}
             self.tables.new_rounds(over)
             self._steps[over] = 0
-            seen = self._seen()
-        return seen, goals, over, infos
+            observation = self._observe()
+        return observation, goals, over, infos
 
-    def _seen(self) -> np.ndarray:  # always a new array: SB3 stores the one before only after the step
+    def _observe(self) -> np.ndarray:  # a new array each time: SB3 stores the previous one after the step
         return self.tables.observe(LEFT, np.empty((self.num_envs, OBSERVATION_SIZE), dtype=np.float32))
 
     def get_attr(self, attr_name: str, indices: Any = None) -> list[Any]:
-        return [None] * self.num_envs  # only `render_mode` is asked for
+        return [None] * self.num_envs  # SB3 reads `render_mode` only
 
     def _unused(self, *_: Any, **__: Any) -> Any:
         raise NotImplementedError
 
-    close = set_attr = env_method = env_is_wrapped = _unused  # learning calls none of them
+    close = set_attr = env_method = env_is_wrapped = _unused  # not called in learning
 
 
 class PeerPolicy(MlpPolicy):
@@ -91,7 +93,7 @@ class PeerPolicy(MlpPolicy):
 
 
 def peer(cfg: DictConfig, tables: int, batch: int, sub_sampling: int) -> "TRPO":
-    """The peer, with one update behind it: compiled, and its memory allocated."""
+    """The peer after a first update, which compiles and allocates."""
     opponent = stochastic(GaussianPolicy(cfg.hidden).requires_grad_(False), torch.Generator().manual_seed(cfg.seed))
     networks = {"pi": list(cfg.hidden), "vf": list(cfg.algorithm.critic.hidden)}
     model = TRPO(
@@ -125,10 +127,10 @@ def peer_frames(
     runs: int = 5,
     sub_sampling: int = 1,
 ) -> dict[tuple[int, int], float] | None:
-    """Frames/s of `TRPO.learn`, collection and update, over `frames` with each number of tables and of torch's threads.
+    """Frames/s of `TRPO.learn`, collection and update, for each number of tables and of torch threads.
 
-    They take turns, `frames / runs` at a time, so that a busy moment does not fall on one of them; each has its median.
-    `sub_sampling` is SB3's: it leaves out states of the gradient and the line search too.
+    Runs of `frames / runs` alternate, so that a slow moment of the machine slows all of them; each has its median.
+    `sub_sampling` is of SB3, and also drops states from the gradient and the line search.
 
     Returns:
         By (tables, threads), the fastest first; None without sb3-contrib.
@@ -137,17 +139,17 @@ def peer_frames(
         return None
     with initialize_config_dir(str(CONF), version_base="1.3"):
         cfg = compose("train", overrides=["algorithm=trpo"])
-    before, share = torch.get_num_threads(), frames // runs // batch * batch
+    threads_before, frames_per_run = torch.get_num_threads(), frames // runs // batch * batch
     times: dict[tuple[int, int], list[float]] = {(n, k): [] for n in tables for k in threads}
     try:
         torch.set_num_threads(1)
         models = {key: peer(cfg, key[0], batch, sub_sampling) for key in times}
         for key in list(times) * runs:
-            torch.set_num_threads(key[1])  # each time: numba's threads, when they start, change it
+            torch.set_num_threads(key[1])  # each time, because numba changes it when its threads start
             began = time.perf_counter()
-            models[key].learn(share, reset_num_timesteps=False, log_interval=None)
+            models[key].learn(frames_per_run, reset_num_timesteps=False, log_interval=None)
             times[key].append(time.perf_counter() - began)
     finally:
-        torch.set_num_threads(before)
-    rates = {key: share / statistics.median(took) for key, took in times.items()}
+        torch.set_num_threads(threads_before)
+    rates = {key: frames_per_run / statistics.median(run_times) for key, run_times in times.items()}
     return dict(sorted(rates.items(), key=lambda item: -item[1]))

@@ -1,4 +1,4 @@
-"""How punctual a game at the window is: pictures, and the way from the state to the force."""
+"""Punctuality of a game at the window: frames, and the latency from state to force."""
 
 import os
 import tempfile
@@ -23,15 +23,15 @@ from guidance.study.models import Models
 from guidance.study.protocol import spawn_rng_states
 from guidance.study.provenance import load_conditions
 
-WARM_UP = 100  # ticks and pictures at the beginning that are not counted: the first ones compile
+WARM_UP = 100  # first ticks and frames, which compile and are not counted
 
 
 def seat_punctuality(seconds: float = 20.0) -> dict[str, float]:
-    """Play CombHG (UT+UA+SC), which asks two models, on a screen that nobody sees.
+    """Play CombHG (UT+UA+SC), which evaluates two models, on a dummy screen.
 
     Returns:
-        ms: median and 99th percentile of the time between pictures, between the look at the table and the force, and
-        between forces; and how many ticks came more than a tick too late.
+        Median and 99th percentile in ms of the time between frames, from reading the state to the force, and between
+        forces; and the number of ticks that came more than a tick late.
     """
     os.environ.setdefault("SDL_VIDEODRIVER", "dummy")
     torch.set_num_threads(1)

@@ -1,4 +1,4 @@
-"""How well the servo keeps its time, alone and beside a busy process."""
+"""Jitter of the servo loop, alone and beside a busy process."""
 
 import subprocess
 import sys
@@ -12,14 +12,14 @@ TICK = 0.02  # s between two forces
 
 
 def servo_jitter(seconds: float = 5.0, busy: bool = True) -> dict[str, float]:
-    """Run the 1 kHz servo on a device that does nothing, fed at 50 Hz.
+    """Run the 1 kHz servo loop on a device without effect, with new forces at 50 Hz.
 
     Args:
         seconds: of measurement.
-        busy: another process keeps one core busy meanwhile.
+        busy: whether another process occupies one core.
 
     Returns:
-        period_p50_us, period_p99_us, period_longest_us, steps, late_share and lost_share (steps that did not come).
+        period_p50_us, period_p99_us, period_longest_us, steps, late_share and lost_share (missing steps).
     """
     spinning = subprocess.Popen([sys.executable, "-c", "while True: pass"]) if busy else None
     servo = ServoProcess(("tests.guidance.haptics.fake_device", "Still", {}), SafetyLimits())
@@ -28,14 +28,14 @@ def servo_jitter(seconds: float = 5.0, busy: bool = True) -> dict[str, float]:
         while time.perf_counter() - began < seconds:
             servo.push((1.0, 0.5))
             time.sleep(TICK)
-        timing, passed = asdict(servo.timing()), time.perf_counter() - began
+        timing, elapsed = asdict(servo.timing()), time.perf_counter() - began
     finally:
         servo.close()
         if spinning is not None:
             spinning.kill()
             spinning.wait()
     micro = {f"period_{name}_us": round(1e6 * timing[name]) for name in ("p50", "p99", "longest")}
-    lost = max(1 - timing["steps"] / (passed * SERVO_HZ), 0.0)
+    lost = max(1 - timing["steps"] / (elapsed * SERVO_HZ), 0.0)
     return {
         **micro,
         "steps": timing["steps"],
