@@ -7,8 +7,8 @@ import pytest
 
 from tests import ROOT
 
-# Installed before any other import. Sockets that are created but not connected, as to probe for IPv6, and Unix sockets and
-# pipes between a process and its children are allowed.
+# Installed before any other import. Sockets that are created but not connected, as to probe for IPv6, and Unix sockets
+# and pipes between a process and its children are allowed.
 NO_NETWORK = """
 import socket, sys
 

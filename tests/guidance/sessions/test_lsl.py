@@ -30,11 +30,11 @@ def test_markers_and_ticks_arrive():
     for row in rows:
         streams.tick(row)
     streams.mark("goal")
-    assert [markers.pull_sample(timeout=5)[0][0] for _ in range(2)] == ["begin oahg_ut", "goal"]
-    received = [ticks.pull_sample(timeout=5) for _ in range(3)]
+    assert [markers.pull_sample(timeout=60)[0][0] for _ in range(2)] == ["begin oahg_ut", "goal"]
+    received = [ticks.pull_sample(timeout=60) for _ in range(3)]
     assert np.array_equal([sample for sample, _ in received], [list(row.values()) for row in rows], equal_nan=True)
     assert received[0][1] <= received[1][1] <= received[2][1]
-    description = ticks.info(timeout=5).desc().child("channels").child("channel")
+    description = ticks.info(timeout=60).desc().child("channels").child("channel")
     assert description.child_value("label") == "time_s" and description.child_value("unit") == "s"
 
 
