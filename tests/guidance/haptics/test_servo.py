@@ -296,7 +296,7 @@ def wait_for(happened, seconds=60.0):
 
 
 def feed(servo, force, seconds, held=True, until=lambda: True):
-    """Push a force for so long, and on, for at most a minute, until a condition holds: a busy machine takes its time."""
+    """Push a force for so long, and on, for at most a minute, until a condition holds, as on a busy machine."""
     ends = time.monotonic() + seconds
     while time.monotonic() < ends or (not until() and time.monotonic() < ends + 60):
         servo.push(force, held)
