@@ -72,7 +72,7 @@ def main(cfg: DictConfig) -> float:
         check(cfg)
         torch.set_num_threads(cfg.threads)
         torch.manual_seed(cfg.seed)
-        policy = GaussianPolicy(cfg.hidden, cfg.inputs).to(cfg.device)
+        policy = GaussianPolicy(cfg.hidden, cfg.inputs).to(cfg.compute)
         algorithm: Algorithm = ALGORITHMS.build(cfg.algorithm, "algorithm")
         sampler: OpponentSampler = OPPONENT_SAMPLERS.build(cfg.league.sampler, "league.sampler")
         learner = algorithm.learner(policy, cfg.gamma)

@@ -44,7 +44,6 @@ PLUGINS = {
 
 # ${project:path} in a yaml is a path in the project, from whatever folder a command is started.
 OmegaConf.register_new_resolver("project", lambda path: str(ROOT / path), replace=True)
-COMPUTERS = ("cpu", "cuda")  # of conf/device
 
 
 class InputError(ValueError):
@@ -52,16 +51,9 @@ class InputError(ValueError):
 
 
 def choices(name: str) -> dict[str, list[str]]:
-    """The configuration's groups and what each can be: the folders of `conf/` and the files in them.
-
-    A device is what models compute on to some commands, and what a hand holds to others: each has its own.
-    """
+    """The configuration's groups and what each can be: the folders of `conf/` and the files in them."""
     folders = sorted(path for path in CONF.iterdir() if path.is_dir() and path.name != "hydra")
-    found = {folder.name: sorted(path.stem for path in folder.glob("*.yaml")) for folder in folders}
-    usual = _defaults(name).get("device")
-    if usual is not None:
-        found["device"] = [device for device in found["device"] if (device in COMPUTERS) == (usual in COMPUTERS)]
-    return found
+    return {folder.name: sorted(path.stem for path in folder.glob("*.yaml")) for folder in folders}
 
 
 def wrong_choice(name: str, arguments: Sequence[str]) -> str | None:
@@ -267,7 +259,7 @@ def resumed_config(run: Path, state: str, now: Mapping[str, Any] = MappingProxyT
 
 
 def require_device(cfg: DictConfig) -> None:
-    """Refuse a `device` that torch does not find here.
+    """Refuse a value of `compute` for which torch finds no device here.
 
     Raises:
         InputError: names it, and what there is.
@@ -275,8 +267,8 @@ def require_device(cfg: DictConfig) -> None:
     import torch  # not above: the commands that only read start without it
 
     there = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
-    if cfg.device not in there:
-        raise InputError(f"device = {cfg.device} must be one of {', '.join(there)}, which are what there is here")
+    if cfg.compute not in there:
+        raise InputError(f"compute = {cfg.compute} must be one of {', '.join(there)}, which are what there is here")
 
 
 class ProgressBar:

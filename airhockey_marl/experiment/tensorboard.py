@@ -24,7 +24,7 @@ Layout = Mapping[str, Mapping[str, Sequence[str]]]  # by category and title of t
 # by tag, with * for a part that varies, what it is: tags of every run
 COMMON_TAGS = {"card/text_summary": "the resolved configuration", "names/text_summary": "this table"}
 # settings of how a run is executed, which do not change its results
-NOT_SETTINGS = ("resume", "threads", "device", "pictures_every")
+NOT_SETTINGS = ("resume", "threads", "compute", "pictures_every")
 SCORES = "scores"  # subfolder of the scores on the HPARAMS page
 
 

@@ -52,8 +52,8 @@ def main(cfg: DictConfig) -> None:
         conditions = load_conditions(cfg)
         protocol: Protocol = construct(Protocol, cfg.study, "study")
         population: Population = construct(Population, cfg.users.population, "users.population")
-        models = load_models(cfg, cfg.device)
-        opponent = load_opponent(cfg, cfg.device)
+        models = load_models(cfg, cfg.compute)
+        opponent = load_opponent(cfg, cfg.compute)
         people = sample_people(cfg.participants, cfg.seed, population)
         mentors = load_advisors(cfg.users.mentors)
         for name in cfg.users.withdrawn:

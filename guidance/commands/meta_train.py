@@ -129,7 +129,7 @@ def run(
     data = play(training_people(cfg.seed, population), cfg.seed, "nine people play")
     data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, TableSpec()))
     progress.close()
-    seconds = train_both(cfg, folder, meta.to(cfg.device), user.to(cfg.device), data.to(cfg.device))
+    seconds = train_both(cfg, folder, meta.to(cfg.compute), user.to(cfg.compute), data.to(cfg.compute))
     meta.cpu(), user.cpu()
     strangers = sample_people(len(data.action), HELD_OUT_SEED, population)
     scores = prediction_scores(

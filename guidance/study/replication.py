@@ -65,8 +65,8 @@ class Studies:
     def __init__(self, cfg: DictConfig) -> None:
         self.cfg = cfg
         self.population: Population = construct(Population, cfg.users.population, "users.population")
-        self.models = load_models(cfg, cfg.device)
-        self.opponent = load_opponent(cfg, cfg.device)
+        self.models = load_models(cfg, cfg.compute)
+        self.opponent = load_opponent(cfg, cfg.compute)
         self.mentors = load_advisors(cfg.users.mentors)
         self.conditions, self.protocol = load_conditions(cfg), construct(Protocol, cfg.study, "study")
         self.factors = assumptions(cfg, self.population)

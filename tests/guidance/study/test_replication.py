@@ -120,7 +120,7 @@ def test_a_ray_cluster_gives_the_same_bits(tmp_path, monkeypatch):
         ("sensitivity.variants=[V7]", "users.variant = 'V7' must be one of V0, V1, V2"),
         ("sensitivity.parameters=[courage]", "courage is not a parameter of people"),
         ("n=0 sensitivity.points=0", "n = 0 must be at least 1 where sensitivity.points is 0"),
-        ("device=tpu", "device = tpu must be one of cpu, cuda"),
+        ("compute=tpu", "compute = tpu must be one of cpu, cuda"),
         ("ray=3", "ray = 3 must be null, local, auto or the address of a cluster"),
         ("resume=nowhere", "resume = nowhere is not the folder of a run that can go on"),
     ],
