@@ -1,4 +1,4 @@
-"""The time that a game with a person keeps to."""
+"""Clocks of a game with a person: real and simulated time."""
 
 import time
 from math import inf, nextafter
@@ -6,7 +6,7 @@ from typing import Protocol
 
 
 class Clock(Protocol):
-    """Seconds since some moment, and waiting."""
+    """Time in seconds from an arbitrary origin, and waiting."""
 
     def now(self) -> float: ...
 
@@ -14,7 +14,7 @@ class Clock(Protocol):
 
 
 class WallClock:
-    """Time as it passes."""
+    """Real time."""
 
     def now(self) -> float:
         return time.perf_counter()
@@ -25,7 +25,7 @@ class WallClock:
 
 
 class SimulatedClock:
-    """Time that passes only by waiting, and at once: for participants who are computed."""
+    """Time that passes only by waiting, which returns at once: for simulated participants and tests."""
 
     def __init__(self) -> None:
         self._now = 0.0
@@ -34,5 +34,5 @@ class SimulatedClock:
         return self._now
 
     def wait(self, seconds: float) -> None:
-        if seconds > 0:  # the rest of a wait may be less than a rounding: some time passes all the same
+        if seconds > 0:  # advances even if `seconds` is less than the resolution of the time
             self._now = max(self._now + seconds, nextafter(self._now, inf))

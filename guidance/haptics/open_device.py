@@ -1,94 +1,156 @@
-"""Which hand a configuration asks for: the devices by name, each behind the safety layer."""
+"""The devices that a configuration can name, each opened behind the safety layer.
+
+Another package adds a device by registering its settings: a dataclass with a method `open`, see `DeviceConfig`.
+"""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
-from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.experiment.command import InputError, require_counts, require_numbers
+from airhockey_marl.experiment.command import InputError
+from airhockey_marl.experiment.registry import Registry
 from guidance.haptics.devices import DeviceError
 from guidance.haptics.devices.gamepad import Gamepad, open_gamepad
 from guidance.haptics.devices.mouse import Mouse
+from guidance.haptics.devices.pointer import MAX_SPEED
 from guidance.haptics.devices.simulated import Simulated
+from guidance.haptics.hand import HapticHand
 from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.seat import HapticHand
-from guidance.haptics.servo import InProcessServo, ServoProcess
+from guidance.haptics.servo import InProcessServo
+from guidance.haptics.servo_process import ServoProcess
 from guidance.simulated_users import SimulatedUsers
 from guidance.simulated_users.arm import HAND_REACH
-
-KINDS = ("mouse", "gamepad", "simulated", "forcedimension")
 
 
 @dataclass(frozen=True)
 class OpenDevice:
-    """A hand, and what a window has to tell it.
+    """A hand at an open device, and its handlers of a window's events.
 
     Attributes:
-        pointed: takes the action (2,) under the pointer.
-        unplugged: takes the number of a gamepad that is gone.
+        on_pointer: called with the action (2,) under the pointer.
+        on_disconnect: called with the number of a gamepad that is disconnected.
     """
 
     hand: HapticHand
-    pointed: Callable[[np.ndarray], None] = lambda action: None
-    unplugged: Callable[[int], None] = lambda number: None
+    on_pointer: Callable[[np.ndarray], None] = lambda action: None
+    on_disconnect: Callable[[int], None] = lambda number: None
 
 
-def check_device(device: DictConfig) -> None:
-    """Refuse a configuration of a device that no device has.
+class DeviceConfig(Protocol):
+    """The settings of a device: the fields of a dataclass, which checks them."""
 
-    Raises:
-        InputError: names the key, its value and what is allowed.
+    def open(self, limits: SafetyLimits, person: SimulatedUsers | None) -> OpenDevice:
+        """Open the device behind the safety layer; `person` holds it if it is the simulated device.
+
+        Raises:
+            DeviceError: it is not there or cannot be opened.
+        """
+        ...
+
+
+def _check_number(name: str, value: object, least: float, most: float | None = None) -> None:
+    is_number = isinstance(value, int | float) and not isinstance(value, bool)
+    if most is None and not (is_number and value > least):
+        raise ValueError(f"device.{name} = {value} must be a number above {least}")
+    if most is not None and not (is_number and least <= value <= most):
+        raise ValueError(f"device.{name} = {value} must be a number of at least {least} and at most {most}")
+
+
+DEVICES: Registry[type[DeviceConfig]] = Registry("device", group="device", key="kind")
+
+
+@DEVICES.register("mouse")
+@dataclass(frozen=True)
+class MouseConfig:
+    """A mouse.
+
+    Attributes:
+        max_speed: m/s at which the hand follows the pointer.
     """
-    kind = device.get("kind") if device is not None else None
-    if kind not in KINDS:
-        raise InputError(f"device.kind = {kind} must be one of {', '.join(KINDS)}")
-    cfg = OmegaConf.create({"device": device})
-    if kind in ("mouse", "gamepad"):
-        require_numbers(cfg, "device.fastest")
-    if kind == "gamepad":
-        require_counts(cfg, "device.index", least=0)
-        require_numbers(cfg, "device.dead_zone", least=0.0, at_most=0.9)
+
+    max_speed: float = MAX_SPEED
+
+    def __post_init__(self) -> None:
+        _check_number("max_speed", self.max_speed, 0.0)
+
+    def open(self, limits: SafetyLimits, person: SimulatedUsers | None) -> OpenDevice:
+        mouse = Mouse(max_speed=self.max_speed)
+        hand = InProcessServo(mouse, limits)
+        return OpenDevice(hand, on_pointer=lambda action: mouse.point(*(HAND_REACH * action)))
+
+
+@DEVICES.register("gamepad")
+@dataclass(frozen=True)
+class GamepadConfig:
+    """A gamepad.
+
+    Attributes:
+        index: of the gamepad among the connected ones, from 0.
+        dead_zone: fraction of the stick's travel around its center that counts as the center.
+        max_speed: m/s at which the hand follows the stick.
+    """
+
+    index: int = 0
+    dead_zone: float = 0.12
+    max_speed: float = MAX_SPEED
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.index, int) or isinstance(self.index, bool) or self.index < 0:
+            raise ValueError(f"device.index = {self.index} must be a whole number of at least 0")
+        _check_number("dead_zone", self.dead_zone, 0.0, 0.9)
+        _check_number("max_speed", self.max_speed, 0.0)
+
+    def open(self, limits: SafetyLimits, person: SimulatedUsers | None) -> OpenDevice:
+        pad = Gamepad(open_gamepad(self.index), limits.force, self.dead_zone, max_speed=self.max_speed)
+        return OpenDevice(InProcessServo(pad, limits), on_disconnect=pad.disconnect)
+
+
+@DEVICES.register("simulated")
+@dataclass(frozen=True)
+class SimulatedConfig:
+    """A simulated person."""
+
+    def open(self, limits: SafetyLimits, person: SimulatedUsers | None) -> OpenDevice:
+        return OpenDevice(InProcessServo(Simulated(person), limits))
+
+
+@DEVICES.register("forcedimension")
+@dataclass(frozen=True)
+class ForceDimensionConfig:
+    """A device by Force Dimension; its process checks the values, see `guidance.haptics.devices.forcedimension`."""
+
+    index: int | None = None
+    center: list[float] = field(default_factory=lambda: [0.0, 0.0, 0.0])
+    plane_stiffness: float = 600.0
+    plane_damping: float = 3.0
+    plane_force: float = 4.0
+    max_force: float = 6.0
+
+    def open(self, limits: SafetyLimits, person: SimulatedUsers | None) -> OpenDevice:
+        factory = "guidance.haptics.devices.forcedimension", "ForceDimension", dict(vars(self))
+        return OpenDevice(ServoProcess(factory, limits))
 
 
 @contextmanager
 def device_session(
-    device: DictConfig, limits: SafetyLimits, person: SimulatedUsers | None = None
+    config: DeviceConfig, limits: SafetyLimits, person: SimulatedUsers | None = None
 ) -> Iterator[OpenDevice]:
-    """Open a hand, see `open_hand`, and let go of it whatever happens.
+    """Open a device, and close it whatever happens.
+
+    Args:
+        person: the simulated person at the device `simulated`.
 
     Raises:
-        InputError: the device is not there, cannot be opened, or refuses its configuration.
+        InputError: the device is not there or cannot be opened, or rejects its settings.
     """
     try:
-        held = open_hand(device, limits, person)
+        device = config.open(limits, person)
     except (ValueError, DeviceError) as error:
         raise InputError(f"device: {error}") from error
     try:
-        yield held
+        yield device
     finally:
-        held.hand.close()
-
-
-def open_hand(device: DictConfig, limits: SafetyLimits, person: SimulatedUsers | None = None) -> OpenDevice:
-    """Open a device and put the safety layer before it.
-
-    Args:
-        device: of `conf/device`.
-        person: who holds it, if it is a simulated person.
-
-    Raises:
-        ValueError: the device refuses its configuration.
-        DeviceError: it is not there or cannot be opened.
-    """
-    options = {key: value for key, value in OmegaConf.to_container(device).items() if key != "kind"}
-    if device.kind == "mouse":
-        mouse = Mouse(**options)
-        return OpenDevice(InProcessServo(mouse, limits), pointed=lambda action: mouse.point(*(HAND_REACH * action)))
-    if device.kind == "gamepad":
-        pad = Gamepad(open_gamepad(options.pop("index")), limits.force, **options)
-        return OpenDevice(InProcessServo(pad, limits), unplugged=pad.unplugged)
-    if device.kind == "simulated":
-        return OpenDevice(InProcessServo(Simulated(person), limits))
-    return OpenDevice(ServoProcess(("guidance.haptics.devices.forcedimension", "ForceDimension", options), limits))
+        device.hand.close()

@@ -1,7 +1,6 @@
-"""One safety layer between the guidance and any device: what reaches a hand is bounded, whatever was asked for.
+"""Safety layer between the guidance and any device: bounds every force on a hand, whatever the guidance requests.
 
-Plain floats, and no import but the standard library's: it runs a thousand times a second, in a process of its own that
-should start at once.
+Plain floats and only the standard library: the layer runs at 1 kHz in a process of its own, which must start quickly.
 """
 
 from dataclasses import dataclass, fields
@@ -9,20 +8,20 @@ from math import hypot, inf, isfinite, nextafter
 
 Pair = tuple[float, float]
 
-NONE: Pair = (0.0, 0.0)
+NO_FORCE: Pair = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
 class SafetyLimits:
-    """What a force on a hand, and the hand itself, must keep to.
+    """Limits of the force on a hand, and of the hand itself.
 
     Attributes:
-        force: N, the most that the norm of a force may be.
-        slew: N/s, the most that a force changes by, but for the drop to nothing of a fault.
-        soft_start: s in which the force rises from nothing to its share of one after a start, a grip and a release.
-        stale_after: s, a force asked for longer ago is not asked for any more; two ticks of the guidance.
-        workspace: m from the center, a hand that is further away is a fault; the corner of the reach is at 0.106 m.
-        speed: m/s, a hand that is faster is a fault; 99.9 % of the time in play, hands are slower than 0.8 m/s.
+        force: N, maximum norm of a force.
+        slew: N/s, maximum rate of change of the force; a fault alone drops it to zero at once.
+        soft_start: s over which the force ramps up from zero after a start, a new grip or a release.
+        stale_after: s, age at which a request expires; two ticks of the guidance.
+        workspace: m from the center; a hand further away is a fault. The corner of the reach is at 0.106 m.
+        speed: m/s; a faster hand is a fault. In play, 99.9 % of the time hands are slower than 0.8 m/s.
 
     Raises:
         ValueError: a limit is out of range; names the field, the value and what is allowed.
@@ -45,16 +44,16 @@ class SafetyLimits:
 
 
 def clip_norm(x: float, y: float, most: float) -> Pair:
-    """The vector (x, y), if it is longer than `most` shortened to it; nothing if it is not finite.
+    """The vector (x, y) with its norm clipped to `most`; zero if it is not finite.
 
-    The norm of what is returned is never above `most`, not by a rounding either.
+    The norm of the result never exceeds `most`, not even by a rounding error.
     """
     if not (isfinite(x) and isfinite(y)):
-        return NONE
+        return NO_FORCE
     norm = hypot(x, y)
     if norm <= most:
         return x, y
-    if norm == inf:  # of two huge but finite numbers
+    if norm == inf:  # overflow of two huge but finite numbers
         x, y = x / 4, y / 4
         norm = hypot(x, y)
     x, y = x / norm * most, y / norm * most
@@ -64,84 +63,83 @@ def clip_norm(x: float, y: float, most: float) -> Pair:
 
 
 class Safety:
-    """Lets a force through to the hand, as far as its limits allow.
+    """Filters the forces on a hand so that they stay within limits.
 
-    In every step: what is returned is finite; its norm is at most `limits.force`; it differs from what was returned
-    before by at most `limits.slew` times the step, unless it drops to nothing because of a fault. A fault stays until
-    it is released.
+    In every step, the result is finite, its norm is at most `limits.force`, and it differs from the previous result by
+    at most `limits.slew` times the step, unless a fault drops it to zero. A fault lasts until it is released.
 
     Attributes:
-        fault: why there is no force, in words; None while there may be one.
+        fault: reason why there is no force; None without a fault.
     """
 
     def __init__(self, limits: SafetyLimits) -> None:
         self.limits, self.fault = limits, None
-        self._force = NONE
-        self._live = 0.0  # s in which a force could act since the start, the last grip or the last release
-        self._sound = False  # whether the hand was last seen finite, inside and slow
+        self._force = NO_FORCE
+        self._ramp = 0.0  # s in which a force could act since the start, the last grip or the last release
+        self._is_hand_ok = False  # whether the last hand was finite, inside the workspace and slow enough
 
-    def filter(self, force: Pair, age: float, position: Pair, velocity: Pair, held: bool, seconds: float) -> Pair:
-        """The force that may act now, N.
+    def filter(self, force: Pair, age: float, position: Pair, velocity: Pair, is_held: bool, seconds: float) -> Pair:
+        """The force that may act in this step, (2,) N.
 
         Args:
-            force: (2,) N, what is asked for; none if it is not finite.
-            age: s since it was asked for.
-            position: (2,) m, the hand from the center.
-            velocity: (2,) m/s, the hand's.
-            held: the hand is at the device.
-            seconds: s of this step.
+            force: (2,) N, the requested force; zero if it is not finite.
+            age: s since the request.
+            position: (2,) m, the hand relative to the center.
+            velocity: (2,) m/s, of the hand.
+            is_held: whether the hand is at the device.
+            seconds: s, duration of this step.
         """
         limits = self.limits
-        wrong = self._wrong(position, velocity, seconds)
-        self._sound = wrong is None
-        if wrong is not None:
-            self._trip(wrong)
+        problem = self._problem(position, velocity, seconds)
+        self._is_hand_ok = problem is None
+        if problem is not None:
+            self._trip(problem)
         if self.fault is not None:
-            return NONE
+            return NO_FORCE
         x = y = 0.0
-        if not held:
-            self._live = 0.0
+        if not is_held:
+            self._ramp = 0.0
         elif age <= limits.stale_after:
-            self._live = min(self._live + seconds, limits.soft_start)
+            self._ramp = min(self._ramp + seconds, limits.soft_start)
             x, y = clip_norm(force[0], force[1], limits.force)
-            if self._live < limits.soft_start:
-                share = self._live / limits.soft_start
-                x, y = x * share, y * share
-        was_x, was_y = self._force
-        most = limits.slew * seconds
-        if hypot(x - was_x, y - was_y) > most:
-            change_x, change_y = clip_norm(x - was_x, y - was_y, most)
-            x, y = clip_norm(was_x + change_x, was_y + change_y, limits.force)
+            if self._ramp < limits.soft_start:
+                gain = self._ramp / limits.soft_start
+                x, y = x * gain, y * gain
+        old_x, old_y = self._force
+        max_change = limits.slew * seconds
+        if hypot(x - old_x, y - old_y) > max_change:
+            change_x, change_y = clip_norm(x - old_x, y - old_y, max_change)
+            x, y = clip_norm(old_x + change_x, old_y + change_y, limits.force)
         self._force = x, y
         return self._force
 
     def rest(self) -> None:
-        """Nothing acts and nothing is asked for: the next force starts softly. A fault stays."""
-        self._force, self._live = NONE, 0.0
+        """Drop the force to zero; the next one ramps up. A fault remains."""
+        self._force, self._ramp = NO_FORCE, 0.0
 
     def fail(self, reason: str) -> None:
-        """The device failed: a fault, which cannot be released before a step in which it did not."""
-        self._sound = False
+        """Report a device failure: a fault that can be released only after a step without one."""
+        self._is_hand_ok = False
         self._trip(reason)
 
     def release(self) -> bool:
-        """End a fault if the hand was last seen finite, inside and slow; the force then starts softly.
+        """End a fault if the last hand was finite, inside the workspace and slow enough; the force then ramps up.
 
         Returns:
-            Whether there is no fault any more.
+            Whether there is no fault now.
         """
-        if self._sound:
+        if self._is_hand_ok:
             self.fault = None
         return self.fault is None
 
     def _trip(self, reason: str) -> None:
         if self.fault is None:
-            self.fault, self._force, self._live = reason, NONE, 0.0
+            self.fault, self._force, self._ramp = reason, NO_FORCE, 0.0
 
-    def _wrong(self, position: Pair, velocity: Pair, seconds: float) -> str | None:
+    def _problem(self, position: Pair, velocity: Pair, seconds: float) -> str | None:
         limits = self.limits
         away, speed = hypot(position[0], position[1]), hypot(velocity[0], velocity[1])
-        # comparisons this way round, because none holds for a number that is not one
+        # NaN fails every comparison, so each tests for the valid range
         if away <= limits.workspace and speed <= limits.speed and 0.0 < seconds < inf:
             return None
         if not (isfinite(away) and isfinite(speed)):

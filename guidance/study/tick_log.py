@@ -16,7 +16,7 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from guidance.forces.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidance, GuidanceOutput, Prediction
-from guidance.haptics.seat import HapticHand
+from guidance.haptics.hand import HapticHand
 from guidance.simulated_users.arm import HAND_REACH
 from guidance.study.batched_guidance import BatchedGuidance
 from guidance.study.games import GameStep
@@ -140,7 +140,7 @@ class TickLog:
         self.won, self.lost = self.won + (goal > 0), self.lost + (goal < 0)
         row: dict[str, float] = {"time_s": round(self.time, 6), "scored": int(scored), "round": self.round}
         row |= {"won": self.won, "lost": self.lost, "goal": goal}
-        row |= {"held": 1 if self.hand is None else int(self.hand.held)}
+        row |= {"held": 1 if self.hand is None else int(self.hand.is_held)}
         optimal, predicted = self.overheard.optimal, self.overheard.predicted
         pairs = {"hand": HAND_REACH * tick.before[0], "optimal": optimal.mean[0], "optimal_std": optimal.std[0]}
         pairs |= {"predicted": predicted.mean[0], "predicted_std": predicted.std[0]}

@@ -1,52 +1,52 @@
-"""Devices that a hand holds and a force can push: all that the servo asks of one.
+"""Interface of haptic devices, as the servo uses it.
 
-Of the hand: m from the center of the workspace, x toward the opponent, y to one's left, as on the table.
+Positions are in m from the center of the workspace: x toward the opponent, y to the player's left, as on the table.
 """
 
 from typing import TYPE_CHECKING, Protocol
 
-if TYPE_CHECKING:  # the servo starts at once, without numpy
+if TYPE_CHECKING:  # the servo process starts without numpy
     import numpy as np
 
 Pair = tuple[float, float]
 
 
 class DeviceError(OSError):
-    """A device cannot be opened, or does not do what it is told."""
+    """A device cannot be opened, or fails."""
 
 
 class Device(Protocol):
-    """A hand's place, and a force on it. Whatever goes wrong in it is an exception."""
+    """The position of a hand, and a force on it. Every failure is an exception."""
 
     @property
     def position(self) -> Pair:
-        """(2,) m, the hand from the center."""
+        """(2,) m, of the hand relative to the center."""
 
     @property
     def velocity(self) -> Pair:
-        """(2,) m/s, the hand's."""
+        """(2,) m/s, of the hand."""
 
     @property
-    def held(self) -> bool:
-        """The dead man's switch: whether the hand is at the device."""
+    def is_held(self) -> bool:
+        """Dead man's switch: whether the hand is at the device."""
 
     def set_force(self, force: Pair) -> None:
-        """Have this force (2,) in N act on the hand until another is set."""
+        """Apply this force, (2,) N, to the hand until another is set."""
 
     def relax(self) -> None:
-        """Have no force act at all, nor any that the device adds by itself; until `set_force`."""
+        """Apply no force at all, not even one that the device adds by itself, until `set_force`."""
 
     def close(self) -> None:
-        """No force, and let go of the device. Closing twice is closing once."""
+        """Drop the force and release the device. A second call does nothing."""
 
 
 class VirtualDevice(Device, Protocol):
-    """A device for which time passes only when it is told so."""
+    """A device whose time passes only by `advance`."""
 
     def advance(self, seconds: float, state: "np.ndarray") -> None:
-        """Let time pass.
+        """Simulate the passing of time.
 
         Args:
-            seconds: s, whole servo steps of 1 ms.
-            state: (12,) float64, the game as the person sees it, see `tables.observe`.
+            seconds: s, a multiple of the servo step of 1 ms.
+            state: (12,) float64, the game as the person observes it.
         """

@@ -1,4 +1,4 @@
-"""A gamepad: the left stick points the hand, the force deflects it from there, and the pad rumbles as strongly."""
+"""A gamepad: the hand is at the left stick, a force deflects the hand from there, and the pad rumbles in proportion."""
 
 from contextlib import suppress
 from math import hypot
@@ -7,16 +7,16 @@ from typing import Protocol
 import numpy as np
 
 from guidance.haptics.devices import DeviceError, Pair
-from guidance.haptics.devices.pointed import FASTEST, PointedHand
+from guidance.haptics.devices.pointer import MAX_SPEED, PointerHand
 from guidance.simulated_users.arm import HAND_REACH
 
-RIGHT, DOWN = 0, 1  # the left stick's axes, positive that way
-RUMBLE_MS = 200  # a rumble ends by itself, should the game stop; it is renewed at half of that
-NOTABLE = 0.05  # change of strength
+RIGHT, DOWN = 0, 1  # axes of the left stick, by their positive direction
+RUMBLE_MS = 200  # ms, after which a rumble ends by itself if the game stops; it is renewed after half of it
+MIN_CHANGE = 0.05  # of the strength of the rumble
 
 
 class Joystick(Protocol):
-    """What is asked of a `pygame.joystick.Joystick`."""
+    """The used part of `pygame.joystick.Joystick`."""
 
     def get_init(self) -> bool: ...
 
@@ -32,7 +32,7 @@ class Joystick(Protocol):
 
 
 def open_gamepad(index: int = 0) -> Joystick:
-    """The gamepad of this index, by pygame.
+    """Open the gamepad of this index by pygame.
 
     Raises:
         DeviceError: there is none; says how many there are.
@@ -46,17 +46,17 @@ def open_gamepad(index: int = 0) -> Joystick:
     return pygame.joystick.Joystick(index)
 
 
-class Gamepad(PointedHand):
-    """A `VirtualDevice` whose hand is where the left stick points, see `PointedHand`.
+class Gamepad(PointerHand):
+    """A `VirtualDevice` whose hand is at the left stick, see `PointerHand`.
 
-    The table is seen from the side, as it is drawn: the stick to the right points at the opponent, up to one's left.
-    A stick goes round in a circle and the hand's reach is a square, so the circle is stretched to the square.
+    The table is drawn from the side: the stick's right is toward the opponent, its up is to the player's left. The
+    stick moves in a circle and the hand's reach is a square, so the circle is stretched to the square.
 
     Args:
-        joystick: as `open_gamepad` gives it.
-        limit: N, a force as strong makes the pad rumble fully.
-        dead_zone: share of the stick's way around its middle that counts as the middle.
-        person, fastest: see `PointedHand`.
+        joystick: of `open_gamepad`.
+        limit: N, the force at which the pad rumbles fully.
+        dead_zone: fraction of the stick's travel around its center that counts as the center.
+        person, max_speed: see `PointerHand`.
 
     Raises:
         ValueError: a number is out of range.
@@ -68,9 +68,9 @@ class Gamepad(PointedHand):
         limit: float,
         dead_zone: float = 0.12,
         person: np.void | None = None,
-        fastest: float = FASTEST,
+        max_speed: float = MAX_SPEED,
     ) -> None:
-        super().__init__(person, fastest)
+        super().__init__(person, max_speed)
         if not limit > 0:
             raise ValueError(f"limit = {limit} must be a number above 0, in N")
         if not 0 <= dead_zone < 1:
@@ -79,28 +79,28 @@ class Gamepad(PointedHand):
         self._connected, self._rumbling, self._rumbled = True, 0.0, 0.0
 
     @property
-    def held(self) -> bool:
+    def is_held(self) -> bool:
         """Whether the pad is connected."""
         return self._connected
 
     @property
     def position(self) -> Pair:
-        """(2,) m, the hand from the center.
+        """(2,) m, of the hand relative to the center.
 
         Raises:
-            DeviceError: the pad is gone.
+            DeviceError: the pad is disconnected.
         """
         if not self._connected:
             raise DeviceError("the gamepad is gone; leave, plug it in, and go on")
         return super().position
 
-    def unplugged(self, instance_id: int) -> None:
-        """Be told that this pad is gone (`pygame.JOYDEVICEREMOVED`): a stick that is gone reads as one let go."""
+    def disconnect(self, instance_id: int) -> None:
+        """Handle `pygame.JOYDEVICEREMOVED`; the stick of a removed pad reads as centered."""
         if self._connected and instance_id == self._joystick.get_instance_id():
             self._connected = False
 
     def advance(self, seconds: float, state: np.ndarray) -> None:
-        """Let time pass; the game does not matter to it."""
+        """Simulate the passing of time; the game's state has no effect."""
         if self._connected:
             try:
                 if self._joystick.get_init():
@@ -108,34 +108,34 @@ class Gamepad(PointedHand):
                     self._rumble(seconds)
                 else:
                     self._connected = False
-            except RuntimeError:  # pygame.error is one
+            except RuntimeError:  # including pygame.error
                 self._connected = False
         self.move(seconds)
 
     def close(self) -> None:
-        """Stop the rumble and let go of the pad."""
+        """Stop the rumble and release the pad."""
         self.relax()
         if self._connected:
             self._connected = False
-            with suppress(RuntimeError):  # pygame may be over
+            with suppress(RuntimeError):  # pygame may have quit
                 self._joystick.stop_rumble()
                 self._joystick.quit()
 
     def _read(self) -> None:
         right, up = self._joystick.get_axis(RIGHT), -self._joystick.get_axis(DOWN)
-        away, longer = hypot(right, up), max(abs(right), abs(up))
-        if away <= self._dead_zone:
+        radius, longest = hypot(right, up), max(abs(right), abs(up))
+        if radius <= self._dead_zone:
             self.point(0.0, 0.0)
             return
-        share = min((away - self._dead_zone) / (1.0 - self._dead_zone), 1.0) * HAND_REACH
-        self.point(right / longer * share, up / longer * share)
+        scale = min((radius - self._dead_zone) / (1.0 - self._dead_zone), 1.0) * HAND_REACH
+        self.point(right / longest * scale, up / longest * scale)
 
     def _rumble(self, seconds: float) -> None:
         strength = min(hypot(*self._force) / self._limit, 1.0)
-        if strength < NOTABLE:
+        if strength < MIN_CHANGE:
             strength = 0.0
         self._rumbled += seconds
-        changed = abs(strength - self._rumbling) >= NOTABLE or (strength == 0.0) != (self._rumbling == 0.0)
+        changed = abs(strength - self._rumbling) >= MIN_CHANGE or (strength == 0.0) != (self._rumbling == 0.0)
         if changed or (strength > 0.0 and self._rumbled >= RUMBLE_MS / 2000):
             if strength > 0.0:
                 self._joystick.rumble(strength, strength, RUMBLE_MS)

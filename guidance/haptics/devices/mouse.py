@@ -1,19 +1,19 @@
-"""A mouse: the hand is at the pointer, and the force is what deflects it from there. Nothing pushes the real hand."""
+"""A mouse: the hand is at its pointer, and a force deflects the hand from there. Nothing pushes the real hand."""
 
 import numpy as np
 
-from guidance.haptics.devices.pointed import PointedHand
+from guidance.haptics.devices.pointer import PointerHand
 
 
-class Mouse(PointedHand):
-    """A `VirtualDevice` whose hand is the mouse's pointer, see `PointedHand`."""
+class Mouse(PointerHand):
+    """A `VirtualDevice` whose hand is at the mouse's pointer, see `PointerHand`."""
 
-    held = True  # what is pushed says whether the window has the focus
+    is_held = True  # `HapticHand.push` reports whether the window has the focus
 
     def advance(self, seconds: float, state: np.ndarray) -> None:
-        """Let time pass; the game does not matter to it."""
+        """Simulate the passing of time; the game's state has no effect."""
         self.move(seconds)
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Apply no force."""
         self.relax()

@@ -1,27 +1,27 @@
-"""A simulated person as a device, so that everything from the guidance to the hand runs without anybody there."""
+"""A simulated person as a device, to run everything from the guidance to the hand without people."""
 
 import numpy as np
 
 from guidance.haptics.devices import Pair
 from guidance.simulated_users import SimulatedUsers
 
-STEP_MS = 1  # of the servo
+STEP_MS = 1  # ms, of the servo
 
 
 class Simulated:
-    """A `VirtualDevice` at which one simulated person sits.
+    """A `VirtualDevice` held by one simulated person.
 
-    The person lives through a tick of the table at its end: with the game as it was shown at its beginning, and the
-    mean of the forces that acted during it. With one force throughout, they do what they do without a device.
+    The person is updated at the end of each tick, with the state observed at its beginning and the mean of the forces
+    that acted during it. Under a constant force, the person behaves exactly as without a device.
 
     Args:
-        users: one person; also begins their rounds and games, with `users.new_round` and `users.new_game`.
+        users: one person, whose rounds and games their owner begins by `users.new_round` and `users.new_game`.
 
     Raises:
         ValueError: not one person, or a tick that is not a whole number of servo steps.
     """
 
-    held = True
+    is_held = True
 
     def __init__(self, users: SimulatedUsers) -> None:
         if users.n != 1:
@@ -29,38 +29,38 @@ class Simulated:
         self.users, self._tick_ms = users, round(1000 * users.table.tick)
         if abs(1000 * users.table.tick - self._tick_ms) > 1e-9 or self._tick_ms < STEP_MS:
             raise ValueError(f"table.tick = {users.table.tick} must be a whole number of ms")
-        self._passed_ms, self._seen = 0, np.zeros(12)
+        self._passed_ms, self._observation = 0, np.zeros(12)
         self._force, self._forces = (0.0, 0.0), np.zeros((self._tick_ms, 2))
 
     @property
     def position(self) -> Pair:
-        """(2,) m, the hand from the center."""
+        """(2,) m, of the hand relative to the center."""
         x, y = self.users.hand[0]
         return float(x), float(y)
 
     @property
     def velocity(self) -> Pair:
-        """(2,) m/s, the hand's."""
+        """(2,) m/s, of the hand."""
         x, y = self.users.hand_velocity[0]
         return float(x), float(y)
 
     def set_force(self, force: Pair) -> None:
-        """Have this force (2,) in N act on the hand until another is set."""
+        """Apply this force, (2,) N, to the hand until another is set."""
         self._force = (float(force[0]), float(force[1]))
 
     def relax(self) -> None:
-        """Have no force act."""
+        """Apply no force."""
         self._force = (0.0, 0.0)
 
     def advance(self, seconds: float, state: np.ndarray) -> None:
-        """Let time pass.
+        """Simulate the passing of time.
 
         Args:
             seconds: s, a whole number of ms.
-            state: (12,) float64, the game as the person sees it; only what they see as a tick begins counts.
+            state: (12,) float64, the game as the person observes it; used at the beginning of a tick only.
 
         Raises:
-            ValueError: not whole ms, or a state or a force that `SimulatedUsers.step` refuses.
+            ValueError: not whole ms, or `SimulatedUsers.step` rejects the state or the force.
         """
         steps = round(1000 * seconds)
         if steps < 1 or abs(1000 * seconds - steps) > 1e-6:
@@ -69,16 +69,16 @@ class Simulated:
             raise ValueError(f"state of shape {np.shape(state)} must be (12,)")
         for _ in range(steps):
             if self._passed_ms == 0:
-                self._seen[:] = state
+                self._observation[:] = state
             self._forces[self._passed_ms] = self._force
             self._passed_ms += STEP_MS
             if self._passed_ms == self._tick_ms:
                 self._passed_ms = 0
                 first = self._forces[0]
-                # the mean of one force is that force, to the last bit
+                # exact where the force was constant; a mean would round
                 mean = first if (self._forces == first).all() else self._forces.mean(axis=0)
-                self.users.step(self._seen[None], mean[None])
+                self.users.step(self._observation[None], mean[None])
 
     def close(self) -> None:
-        """There is nothing to let go of."""
+        """Apply no force."""
         self.relax()

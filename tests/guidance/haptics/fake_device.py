@@ -14,7 +14,7 @@ class Still:
     """A hand that keeps still at the center."""
 
     position = velocity = (0.0, 0.0)
-    held = True
+    is_held = True
 
     def set_force(self, force):
         pass

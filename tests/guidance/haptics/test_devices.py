@@ -11,7 +11,7 @@ from airhockey_marl.envs.world import World
 from guidance.haptics.devices import DeviceError
 from guidance.haptics.devices.gamepad import RUMBLE_MS, Gamepad, open_gamepad
 from guidance.haptics.devices.mouse import Mouse
-from guidance.haptics.devices.pointed import FASTEST, PointedHand, median_person
+from guidance.haptics.devices.pointer import MAX_SPEED, PointerHand, median_person
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
 from guidance.haptics.servo import InProcessServo
@@ -91,10 +91,10 @@ def test_a_pointer_that_leaps_is_followed_no_faster_than_a_hand_can():
     mouse = Mouse()
     mouse.point(0.06, -0.06)
     mouse.advance(STEP, SEEN)
-    assert math.hypot(*mouse.velocity) == pytest.approx(FASTEST)
-    assert mouse.position == pytest.approx((FASTEST * STEP / math.sqrt(2), -FASTEST * STEP / math.sqrt(2)))
+    assert math.hypot(*mouse.velocity) == pytest.approx(MAX_SPEED)
+    assert mouse.position == pytest.approx((MAX_SPEED * STEP / math.sqrt(2), -MAX_SPEED * STEP / math.sqrt(2)))
     away = 0.06 * math.sqrt(2)
-    pass_time(mouse, math.ceil(away / FASTEST / STEP) * STEP)
+    pass_time(mouse, math.ceil(away / MAX_SPEED / STEP) * STEP)
     assert mouse.position == (0.06, -0.06)
 
 
@@ -141,8 +141,8 @@ def test_relaxing_and_closing_a_mouse_end_the_force():
 def test_what_is_no_place_or_speed_is_refused():
     with pytest.raises(ValueError, match=r"^y = nan must be a number"):
         Mouse().point(0.0, math.nan)
-    with pytest.raises(ValueError, match=r"^fastest = 0 must be a number above 0"):
-        PointedHand(fastest=0)
+    with pytest.raises(ValueError, match=r"^max_speed = 0 must be a number above 0"):
+        PointerHand(max_speed=0)
 
 
 # the gamepad
@@ -234,16 +234,16 @@ def test_a_pad_that_is_gone_is_not_held(how):
     pad, device = gamepad()
     pad.axes = [1.0, 0.0]
     pass_time(device, 0.2)
-    assert device.held
-    device.unplugged(6)  # another one
-    assert device.held
+    assert device.is_held
+    device.disconnect(6)  # another one
+    assert device.is_held
     pad.axes = [0.0, 0.0]
     if how == "event":
-        device.unplugged(7)
+        device.disconnect(7)
     else:
         pad.here, pad.broken = how != "quit", how == "error"
     pass_time(device, 0.2)
-    assert not device.held
+    assert not device.is_held
     with pytest.raises(DeviceError, match="the gamepad is gone"):
         device.position  # noqa: B018
     servo = InProcessServo(device, SafetyLimits())
@@ -258,7 +258,7 @@ def test_closing_a_pad_stops_its_rumble():
     pass_time(device, 0.01, (3.0, 0.0))
     device.close()
     device.close()
-    assert pad.done[1:] == ["stop", "quit"] and not device.held
+    assert pad.done[1:] == ["stop", "quit"] and not device.is_held
 
 
 @pytest.mark.parametrize(("name", "value"), [("limit", 0.0), ("dead_zone", 1.0), ("dead_zone", -0.1)])
@@ -354,7 +354,7 @@ def test_a_new_game_of_the_person_is_a_new_game_at_the_device():
     device.advance(0.1, SEEN)
     assert device.position != (0.0, 0.0)
     device.users.new_game(np.array([True]))
-    assert device.position == (0.0, 0.0) and device.held
+    assert device.position == (0.0, 0.0) and device.is_held
 
 
 def test_relaxing_ends_the_force_on_the_person():

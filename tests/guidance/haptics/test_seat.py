@@ -6,7 +6,8 @@ import pytest
 from guidance.haptics.clock import SimulatedClock
 from guidance.haptics.devices.mouse import Mouse
 from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.seat import NullDisplay, Quit, RealTimePlayer
+from guidance.haptics.screen import NullDisplay, Quit
+from guidance.haptics.seat import RealTimePlayer
 from guidance.haptics.servo import InProcessServo
 from guidance.simulated_users.arm import HAND_REACH
 
@@ -18,10 +19,10 @@ class Hand:
 
     def __init__(self, clock: SimulatedClock) -> None:
         self.clock, self.position, self.force, self.fault = clock, (0.03, -0.06), (0.0, 0.0), None
-        self.pushed, self.passed, self.released, self.held = [], 0, False, True
+        self.pushed, self.passed, self.released, self.is_held = [], 0, False, True
 
-    def push(self, force, held=True) -> None:
-        self.pushed.append((self.clock.now(), force, held))
+    def push(self, force, is_held=True) -> None:
+        self.pushed.append((self.clock.now(), force, is_held))
 
     def advance(self, milliseconds, state) -> None:
         self.passed += milliseconds
@@ -38,8 +39,8 @@ class Screen:
     """Shows pictures that take a while, and presses keys at their times."""
 
     def __init__(self, clock: SimulatedClock, cost: float = 0.0, keys: dict[float, str] | None = None) -> None:
-        self.clock, self.cost, self.keys = clock, cost, dict(keys or {})
-        self.next_frame, self.attentive, self.frames, self.notes = 0.0, True, [], []
+        self.clock, self.frame_cost, self.keys = clock, cost, dict(keys or {})
+        self.next_frame, self.has_focus, self.frames, self.notes = 0.0, True, [], []
 
     def poll(self) -> None:
         pass
@@ -47,7 +48,7 @@ class Screen:
     def frame(self, moment) -> list[str]:
         self.frames.append(self.clock.now())
         self.notes.append(moment.note)
-        self.clock.wait(self.cost)
+        self.clock.wait(self.frame_cost)
         self.next_frame = max(self.next_frame + 1 / 60, self.clock.now())
         assert self.clock.now() < 60, "somebody waits for ever"
         due = [self.keys.pop(at) for at in list(self.keys) if at <= self.clock.now()]
@@ -66,7 +67,7 @@ def test_fifty_ticks_are_a_second_in_which_the_hand_lives_a_thousand_millisecond
     for _ in range(50):
         action = seat.step(STATE, FORCE)
     assert seat.clock.now() == pytest.approx(1.0, abs=1e-9)
-    assert seat.hand.passed == 1000 and len(seat.screen.frames) == 60 and seat.late == 0
+    assert seat.hand.passed == 1000 and len(seat.screen.frames) == 60 and seat.late_ticks == 0
     assert {force for _, force, _ in seat.hand.pushed} == {(1.5, -0.5)} and len(seat.hand.pushed) == 50
     assert np.allclose(action, np.array([[0.03, -0.06]]) / HAND_REACH) and action.shape == (1, 2)
 
@@ -84,7 +85,7 @@ def test_no_picture_makes_a_tick_late(cost):
         seat.step(STATE, FORCE)
     times = np.array([time for time, _, _ in seat.hand.pushed])
     assert np.allclose(np.diff(times), 0.02, atol=1e-6)
-    assert len(seat.screen.frames) >= 100 and seat.late == 0  # and there is one in every tick
+    assert len(seat.screen.frames) >= 100 and seat.late_ticks == 0  # and there is one in every tick
 
 
 def test_a_screen_that_is_too_slow_for_any_tick_still_shows_something():
@@ -100,10 +101,10 @@ def test_time_that_was_lost_is_not_made_up_for():
     seat.step(STATE, FORCE)
     seat.clock.wait(0.5)
     seat.step(STATE, FORCE)
-    assert seat.late == 1
+    assert seat.late_ticks == 1
     for _ in range(3):
         seat.step(STATE, FORCE)
-    assert np.allclose([time for time, _, _ in seat.hand.pushed], [0, 0.52, 0.52, 0.54, 0.56]) and seat.late == 1
+    assert np.allclose([time for time, _, _ in seat.hand.pushed], [0, 0.52, 0.52, 0.54, 0.56]) and seat.late_ticks == 1
 
 
 def test_space_pauses_without_a_force_until_space():
@@ -114,7 +115,7 @@ def test_space_pauses_without_a_force_until_space():
     assert len([1 for _, force, _ in seat.hand.pushed if force == (1.5, -0.5)]) == 10
     assert min(without) < 0.08 and 2.9 < max(without) <= 3.02
     assert np.diff(without).max() < 0.04  # never stale: it is asked for no force, again and again
-    assert any(note.startswith("paused") for note in seat.screen.notes) and seat.moment.note == ""
+    assert any(note.startswith("paused") for note in seat.screen.notes) and seat.display.note == ""
     assert seat.clock.now() == pytest.approx(3.0 + 8 * 0.02, abs=0.05)
 
 
@@ -164,18 +165,18 @@ def test_space_makes_a_pause_of_a_breath():
 
 def test_who_does_not_hold_the_device_is_told():
     seat = seated()
-    seat.hand.held = False
+    seat.hand.is_held = False
     seat.step(STATE, FORCE)
     assert seat.screen.notes[-1] == "take hold of the device"
 
 
 def test_who_turns_away_gets_no_force_and_comes_back_by_space():
     seat = seated(keys={2.0: "space"})
-    seat.screen.attentive = False
+    seat.screen.has_focus = False
     frame = seat.screen.frame
 
     def look_up(moment) -> list[str]:
-        seat.screen.attentive = seat.clock.now() > 1.0
+        seat.screen.has_focus = seat.clock.now() > 1.0
         return frame(moment)
 
     seat.screen.frame = look_up
@@ -200,7 +201,7 @@ def test_after_a_fault_the_game_waits_until_it_is_released_and_somebody_is_ready
     assert 2.0 <= seat.clock.now() < 2.1 and seat.hand.released
     assert "no force: the hand moves at 9 m/s; r, then space" in seat.screen.notes
     assert not any(any(force) for time, force, _ in seat.hand.pushed if time > 0)
-    assert seat.taken() == ["x", "r"] and seat.taken() == []
+    assert seat.take_keys() == ["x", "r"] and seat.take_keys() == []
     seat.hand.released = False
     seat.step(STATE, FORCE)
     assert not seat.hand.released and seat.clock.now() < 2.2
@@ -230,4 +231,6 @@ def test_a_breath_between_rounds():
     seat.new_round(np.array([True]))
     assert clock.now() == pytest.approx(1.02, abs=0.02)
     seat.step(STATE + 1, FORCE)
-    assert np.array_equal(seat.moment.last, STATE[0] + 1)  # nothing moves across the table from the round before
+    assert np.array_equal(
+        seat.display.previous_state, STATE[0] + 1
+    )  # nothing moves across the table from the round before

