@@ -1,5 +1,5 @@
-"""The window a person plays in: the table, the pages of a study, and what is pressed."""
+"""The window of a game with a person, and films of recorded games."""
 
 import os
 
-os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # standard output is the command's
+os.environ.setdefault("PYGAME_HIDE_SUPPORT_PROMPT", "1")  # keeps standard output to the command

@@ -1,4 +1,4 @@
-"""The table as a player sees it: paddles, puck, the pull on the hand, and what the models would do."""
+"""The table on a screen: paddles, puck, force on the hand, and predictions of the models."""
 
 from itertools import pairwise
 from math import hypot
@@ -9,22 +9,22 @@ from PIL import Image, ImageDraw
 
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec, action_range
 from airhockey_marl.envs.rendering import COLORS, FELT, SMOOTHING, View, empty_table
-from guidance.display.drawing import Place, picture_of, smooth_polygon
-from guidance.display.film import CORNERS, FORCE, PAPER, TARGETS, WANTED, SceneDrawer, arrow_outline
+from guidance.display.drawing import Pixel, picture_of, smooth_polygon
+from guidance.display.scene import CORNERS, FORCE, HAND, PAPER, TARGETS, SceneDrawer, arrow_outline
 from guidance.forces.conditions import Prediction
-from guidance.haptics.seat import DisplayState
+from guidance.haptics.screen import DisplayState
 
-TRAIL = 15  # pictures of the puck's way
-LEAP = 0.4  # m from picture to picture: no puck is so fast, it was served
-BODIES = (LEFT, RIGHT, PUCK)  # in the order in which a state has them
+TRAIL = 15  # frames of the puck's trail
+MAX_PUCK_STEP = 0.4  # m between two frames; a puck that moves further was served
+BODIES = (LEFT, RIGHT, PUCK)  # in the order of a state
 
 
 class Arena:
-    """Draws the moments of a game on a table `width` pixels wide.
+    """Draws a game on a table of `width` pixels.
 
     Attributes:
         size: width and height in pixels.
-        marks: of the models' targets, by model.
+        marks: model -> symbol of its prediction.
     """
 
     def __init__(self, table: TableSpec, width: int) -> None:
@@ -36,51 +36,54 @@ class Arena:
         radii = {LEFT: table.paddle_radius, RIGHT: table.paddle_radius, PUCK: table.puck_radius}
         self._bodies = {body: self._disc(radius, body) for body, radius in radii.items()}
         self.marks = {model: self._mark(model) for model in TARGETS}
-        self._way: list[Place] = []
+        self._trail: list[Pixel] = []
 
-    def pixel(self, place: np.ndarray) -> Place:
-        """Where a place (2,) in m of the table is on the surface."""
-        x, y = self.view.pixel(*place)
+    def pixel(self, position: np.ndarray) -> Pixel:
+        """The pixel of a position (2,) in m on the table."""
+        x, y = self.view.pixel(*position)
         return x / SMOOTHING, y / SMOOTHING
 
-    def of_action(self, action: np.ndarray) -> Place:
-        """Where the place that an action (2,) asks for is on the surface."""
+    def of_action(self, action: np.ndarray) -> Pixel:
+        """The pixel of the paddle position that an action (2,) requests."""
         return self.pixel(self.middle + self.half * action)
 
-    def action_at(self, pixel: Place) -> np.ndarray:
-        """(2,) the action that asks for what is under a pixel; beyond -1 and 1 outside the own side."""
+    def action_at(self, pixel: Pixel) -> np.ndarray:
+        """(2,) the action that requests the position of a pixel; beyond -1 and 1 outside the left side."""
         origin = np.array(self.pixel(np.zeros(2)))
         place = (np.array(pixel) - origin) / self.scale * np.array([1.0, -1.0])
         return (place - self.middle) / self.half
 
-    def draw(self, surface: pygame.Surface, moment: DisplayState, overlay: bool, force: bool) -> None:
-        """Draw a moment, with the models' targets if `overlay` says so, and the force if `force` does."""
+    def draw(self, surface: pygame.Surface, display: DisplayState, overlay: bool, force: bool) -> None:
+        """Draw a frame, with the predictions of the models if `overlay`, and the force if `force`."""
         surface.blit(self._table, (0, 0))
-        if moment.state is None:
-            self._way = []
+        if display.state is None:
+            self._trail = []
             return
-        then, now = moment.last.reshape(3, 4)[:, :2], moment.state.reshape(3, 4)[:, :2]
-        places = [self.pixel(place) for place in then + moment.share * (now - then)]
-        self._draw_way(surface, places[2])
+        previous, now = display.previous_state.reshape(3, 4)[:, :2], display.state.reshape(3, 4)[:, :2]
+        places = [self.pixel(place) for place in previous + display.tick_fraction * (now - previous)]
+        self._draw_trail(surface, places[2])
         if overlay:
-            for model, target in (("optimal", moment.optimal), ("predicted", moment.predicted)):
+            for model, target in (("optimal", display.optimal), ("predicted", display.predicted)):
                 if target is not None:
                     self._draw_target(surface, model, target)
         for body, at in reversed(list(zip(BODIES, places, strict=True))):
             picture = self._bodies[body]
             surface.blit(picture, picture.get_rect(center=at))
-        hand = self.of_action(moment.hand)
-        pygame.draw.aaline(surface, WANTED, places[0], hand)
-        pygame.draw.aacircle(surface, WANTED, hand, 0.011 * self.scale, 3)
+        hand = self.of_action(display.hand)
+        pygame.draw.aaline(surface, HAND, places[0], hand)
+        pygame.draw.aacircle(surface, HAND, hand, 0.011 * self.scale, 3)
         if force:
-            self._draw_force(surface, places[0], moment.force)
+            self._draw_force(surface, places[0], display.force)
 
-    def _draw_way(self, surface: pygame.Surface, puck: Place) -> None:
-        served = self._way and hypot(puck[0] - self._way[-1][0], puck[1] - self._way[-1][1]) > LEAP * self.scale
-        self._way = [puck] if served else [*self._way[-TRAIL:], puck]
-        if len(self._way) > 1:
-            color = tuple((2 * ground + ink) // 3 for ground, ink in zip(FELT, COLORS[PUCK], strict=True))
-            for start, end in pairwise(self._way):
+    def _draw_trail(self, surface: pygame.Surface, puck: Pixel) -> None:
+        is_serve = (
+            self._trail
+            and hypot(puck[0] - self._trail[-1][0], puck[1] - self._trail[-1][1]) > MAX_PUCK_STEP * self.scale
+        )
+        self._trail = [puck] if is_serve else [*self._trail[-TRAIL:], puck]
+        if len(self._trail) > 1:
+            color = tuple((2 * felt + ink) // 3 for felt, ink in zip(FELT, COLORS[PUCK], strict=True))
+            for start, end in pairwise(self._trail):
                 pygame.draw.aaline(surface, color, start, end, 3)
 
     def _draw_target(self, surface: pygame.Surface, model: str, target: Prediction) -> None:
@@ -92,10 +95,10 @@ class Arena:
             pygame.draw.ellipse(layer, (*TARGETS[model], 170), layer.get_rect(), 2)
             surface.blit(layer, layer.get_rect(center=self.of_action(mean)))
         mark = self.marks[model]
-        inside = np.clip(self.of_action(mean), 10, np.array(self.size) - 10)  # a model may want more than there is
+        inside = np.clip(self.of_action(mean), 10, np.array(self.size) - 10)  # a prediction may lie off the table
         surface.blit(mark, mark.get_rect(center=tuple(inside)))
 
-    def _draw_force(self, surface: pygame.Surface, start: Place, force: np.ndarray) -> None:
+    def _draw_force(self, surface: pygame.Surface, start: Pixel, force: np.ndarray) -> None:
         outline = arrow_outline(start, force, self.scale)
         if outline:
             smooth_polygon(surface, np.array(outline), FORCE, PAPER)

@@ -1,4 +1,4 @@
-"""Colors, letters and lines for a pygame surface."""
+"""Text, images and polygons on a pygame surface."""
 
 from functools import lru_cache
 from pathlib import Path
@@ -9,46 +9,44 @@ import pygame
 from PIL import Image
 
 from airhockey_marl.envs.rendering import SMOOTHING
-
-Color = tuple[int, int, int]
-Place = tuple[float, float]
+from guidance.display.scene import Color, Pixel
 
 
 @lru_cache
 def font(size: int, bold: bool = False) -> pygame.font.Font:
-    """DejaVu, which has the letters of most languages, of a size in pixels."""
+    """The font DejaVu Sans, which covers most languages; size in pixels."""
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return pygame.font.Font(Path(matplotlib.get_data_path(), "fonts", "ttf", name), size)
 
 
 @lru_cache(maxsize=512)
-def letters(text: str, size: int, color: Color, bold: bool = False) -> pygame.Surface:
-    """A line of text as a picture."""
+def render(text: str, size: int, color: Color, bold: bool = False) -> pygame.Surface:
+    """A rendered line of text."""
     return font(size, bold).render(text, True, color)
 
 
-def forget() -> None:
-    """Drop all letters: none outlives the pygame that drew it."""
+def clear_caches() -> None:
+    """Drop fonts and rendered texts, which are invalid once pygame quits."""
     font.cache_clear()
-    letters.cache_clear()
+    render.cache_clear()
 
 
 def write(
     surface: pygame.Surface,
     text: str,
-    at: Place,
+    at: Pixel,
     size: int,
     color: Color,
     bold: bool = False,
     anchor: str = "midleft",
 ) -> pygame.Rect:
-    """Write a line of text; `anchor` is the point of its box that comes to lie `at`."""
-    picture = letters(text, size, color, bold)
+    """Draw a line of text; the point `anchor` of its box is placed at `at`."""
+    picture = render(text, size, color, bold)
     return surface.blit(picture, picture.get_rect(**{anchor: at}))
 
 
-def wrapped(text: str, size: int, width: float, bold: bool = False) -> list[str]:
-    """A text as lines that are no wider than `width` pixels; its own line breaks stay."""
+def wrap(text: str, size: int, width: float, bold: bool = False) -> list[str]:
+    """Split a text into lines of at most `width` pixels; its own line breaks are kept."""
     face, lines = font(size, bold), []
     for paragraph in text.splitlines():
         line = ""
@@ -63,21 +61,21 @@ def wrapped(text: str, size: int, width: float, bold: bool = False) -> list[str]
 
 
 def picture_of(image: Image.Image) -> pygame.Surface:
-    """A pillow image, drawn `SMOOTHING` times too large, as a surface of the right size."""
+    """Convert a Pillow image, drawn `SMOOTHING` times larger for smooth edges, to a surface."""
     small = image.reduce(SMOOTHING)
     surface = pygame.image.frombytes(small.tobytes(), small.size, small.mode)
     return surface.convert_alpha() if small.mode == "RGBA" else surface.convert()
 
 
 def veil(surface: pygame.Surface, box: pygame.Rect, color: tuple[int, int, int, int]) -> None:
-    """Lay a translucent color over a box."""
+    """Fill a box with a translucent color."""
     layer = pygame.Surface(box.size, pygame.SRCALPHA)
     layer.fill(color)
     surface.blit(layer, box)
 
 
 def smooth_polygon(surface: pygame.Surface, corners: np.ndarray, color: Color, edge: Color) -> None:
-    """A filled polygon (n, 2) with a smooth edge."""
+    """Draw a filled polygon (n, 2) with a smooth edge."""
     places = [tuple(corner) for corner in corners]
     pygame.draw.polygon(surface, color, places)
     pygame.draw.aalines(surface, edge, True, places)

@@ -1,4 +1,4 @@
-"""One pygame window: its frames, its keys and its pages."""
+"""A pygame window: frames of a game, keys and pages."""
 
 from collections.abc import Callable, Mapping
 from math import hypot
@@ -10,35 +10,34 @@ import pygame
 from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
 from airhockey_marl.envs.rendering import COLORS
 from guidance.display.arena import Arena
-from guidance.display.drawing import forget, letters, veil, write
-from guidance.display.film import FORCE, GRAY, INK, PAPER
+from guidance.display.drawing import clear_caches, render, veil, write
 from guidance.display.pages import Items, Page
+from guidance.display.scene import FORCE, GRAY, INK, PAPER
 from guidance.haptics.clock import Clock
-from guidance.haptics.seat import DisplayState, Quit
+from guidance.haptics.screen import DisplayState, Quit
 
-HINT = "h help   space pause   esc leave"  # at the foot
+HINT = "h help   space pause   esc leave"
 BAR, FOOT, EDGE = 54, 54, 16  # px
-NARROWEST = 800  # px: there, the longest texts still fit
+MIN_WIDTH = 800  # px, minimum width at which the longest texts fit
 FADED = (90, 96, 104)
 PRESSES = (pygame.KEYDOWN, pygame.MOUSEBUTTONDOWN, pygame.JOYBUTTONDOWN)
-HELD_BACK = {pygame.K_LSHIFT, pygame.K_RSHIFT, pygame.K_LCTRL, pygame.K_RCTRL, pygame.K_LALT, pygame.K_RALT}
+IGNORED_KEYS = {pygame.K_LSHIFT, pygame.K_RSHIFT, pygame.K_LCTRL, pygame.K_RCTRL, pygame.K_LALT, pygame.K_RALT}
 
 
 class Window:
-    """What a person looks at, and whose keys they press.
+    """A `guidance.haptics.screen.Screen`, and an `ExperimenterUI` of a session.
 
     Args:
-        width: of the table, pixels.
-        frames_per_second: pictures drawn.
-        shows_force: whether the force and its weights are to be seen; in an experiment they are to be felt.
-        keys: what the keys do, for the help; `o` (targets) does something only if it is among them.
+        width: pixels, of the table.
+        frames_per_second: frames drawn per second.
+        keys: key -> meaning, for the help; `o` toggles the overlay only if it is among them.
+        shows_force: whether the force and its weights are shown; in an experiment they are only felt.
 
     Attributes:
-        pointed: is told the action (2,) under the pointer.
-        unplugged: is told the number of a gamepad that is gone.
-        next_frame, cost, attentive: as `guidance.haptics.seat.Screen` has them.
-        overlay: whether the models' targets are shown.
-        frame_times: s between one picture and the next.
+        on_pointer: called with the action (2,) under the pointer.
+        on_disconnect: called with the number of a gamepad that is disconnected.
+        overlay: whether the predictions of the models are shown.
+        frame_times: s between frames.
     """
 
     def __init__(
@@ -55,19 +54,19 @@ class Window:
         pygame.font.init()
         pygame.joystick.init()
         pygame.display.set_caption(title)
-        pygame.display.set_mode((width, width // 2))  # colors are of a display: there must be one to draw with
+        pygame.display.set_mode((width, width // 2))  # surfaces need a display for their color format
         self.arena = Arena(table, width)
         self.size = (width, BAR + self.arena.size[1] + FOOT)
         self.surface = self._open(fullscreen=False)
         self._table_surface = self.surface.subsurface((0, BAR, *self.arena.size))
         self.clock, self.keys, self.shows_force = clock, keys, shows_force
-        self.pointed: Callable[[np.ndarray], None] = lambda action: None
-        self.unplugged: Callable[[int], None] = lambda number: None
+        self.on_pointer: Callable[[np.ndarray], None] = lambda action: None
+        self.on_disconnect: Callable[[int], None] = lambda number: None
         self.interval = 1.0 / frames_per_second
-        self.next_frame, self.cost = clock.now(), 0.0
-        self.overlay, self.helping, self.frame_times = False, False, []
-        self._last_frame, self._pressed, self._leave, self._focused = None, [], False, True
-        self._early: list[str] = []  # pressed before the page was there that they are for
+        self.next_frame, self.frame_cost = clock.now(), 0.0
+        self.overlay, self.shows_help, self.frame_times = False, False, []
+        self._last_frame, self._pressed, self._quit_requested, self._has_keyboard = None, [], False, True
+        self._early: list[str] = []  # pressed before their page was shown
 
     def _open(self, fullscreen: bool) -> pygame.Surface:
         full = pygame.FULLSCREEN | pygame.SCALED if fullscreen else 0
@@ -76,48 +75,48 @@ class Window:
         return surface
 
     @property
-    def attentive(self) -> bool:
-        """Whether the window has the keyboard, and the help does not cover the game."""
-        return self._focused and not self.helping
+    def has_focus(self) -> bool:
+        """Whether the window has the keyboard focus and the help does not cover the game."""
+        return self._has_keyboard and not self.shows_help
 
     def poll(self) -> None:
-        """Take note of what was pressed, and of where the pointer is."""
+        """Process the pressed keys and the position of the pointer."""
         for event in pygame.event.get():
             if event.type == pygame.QUIT:
-                self._leave = True
+                self._quit_requested = True
             elif event.type in (pygame.WINDOWFOCUSLOST, pygame.WINDOWFOCUSGAINED):
-                self._focused = event.type == pygame.WINDOWFOCUSGAINED
+                self._has_keyboard = event.type == pygame.WINDOWFOCUSGAINED
             elif event.type == pygame.JOYDEVICEREMOVED:
-                self.unplugged(event.instance_id)
-            elif event.type in PRESSES and getattr(event, "key", None) not in HELD_BACK:
+                self.on_disconnect(event.instance_id)
+            elif event.type in PRESSES and getattr(event, "key", None) not in IGNORED_KEYS:
                 self._pressed.append(event)
         x, y = pygame.mouse.get_pos()
-        self.pointed(self.arena.action_at((x, y - BAR)))
+        self.on_pointer(self.arena.action_at((x, y - BAR)))
 
-    def frame(self, moment: DisplayState) -> list[str]:
-        """Show a moment; returns the keys pressed since the last one, but those that are the window's own.
+    def frame(self, display: DisplayState) -> list[str]:
+        """Draw a frame; returns the keys pressed since the last one, without those that the window handles.
 
         Raises:
-            Leave: the window was closed, or escape pressed.
+            Quit: the window was closed, or escape pressed.
         """
-        began = self.clock.now()
-        keys = [key for key in self._take() if not self._own(key)]
+        start = self.clock.now()
+        keys = [key for key in self._take() if not self._handle(key)]
         self.surface.fill(PAPER)
-        self.arena.draw(self._table_surface, moment, self.overlay, self.shows_force)
-        self._draw_bar(moment)
-        self._draw_foot(moment)
-        if moment.note:
-            self._draw_note(moment.note)
-        if self.helping:
+        self.arena.draw(self._table_surface, display, self.overlay, self.shows_force)
+        self._draw_bar(display)
+        self._draw_foot(display)
+        if display.note:
+            self._draw_note(display.note)
+        if self.shows_help:
             Page("Keys", "", self.keys).draw(self.surface)
-        self._flip(began)
+        self._flip(start)
         return keys
 
     def page(self, page: Page) -> str:
-        """Show a page, a long one in parts, until one of its keys is pressed; returns it.
+        """Show a page, in parts if it is long, until one of its keys is pressed; returns that key.
 
         Raises:
-            Leave: the window was closed, or escape pressed.
+            Quit: the window was closed, or escape pressed.
         """
         for part in page.parts(self.size):
             key = self._part(part)
@@ -131,7 +130,7 @@ class Window:
                 if key in page.keys:
                     self._early = names[nth + 1 :]
                     return key
-                self._own(key)
+                self._handle(key)
             page.draw(self.surface)
             self._flip(self.clock.now())
 
@@ -146,17 +145,17 @@ class Window:
                     items.click(event.pos, self.surface.get_size())
                 elif event.type == pygame.KEYDOWN:
                     items.press(pygame.key.name(event.key))
-            if items.confirmed:
+            if items.is_confirmed:
                 pygame.mouse.set_visible(not pygame.display.is_fullscreen())
                 return items.answers
             items.draw(self.surface)
             self._flip(self.clock.now())
 
     def write_down(self, page: Page) -> str:
-        """Show a page with a line to write on, until return is pressed; returns what was written.
+        """Show a page with an input line until return is pressed; returns the text.
 
         Raises:
-            Leave: the window was closed, or escape pressed on an empty line; on another it empties it.
+            Quit: the window was closed, or escape pressed on an empty line; otherwise escape clears the line.
         """
         text = ""
         while True:
@@ -178,7 +177,7 @@ class Window:
             self._flip(self.clock.now())
 
     def screenshot(self) -> np.ndarray:
-        """(height, width, 3) uint8."""
+        """The current frame, (height, width, 3) uint8."""
         return pygame.surfarray.array3d(self.surface).swapaxes(0, 1)
 
     def __enter__(self) -> Self:
@@ -188,20 +187,20 @@ class Window:
         self.close()
 
     def close(self) -> None:
-        """Shut it; no other window is open then."""
-        forget()
+        """Close the window and quit pygame."""
+        clear_caches()
         pygame.quit()
 
     def _events(self, escape: bool = True) -> list[pygame.event.Event]:
         pressed, self._pressed = self._pressed, []
-        away = escape and any(event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE for event in pressed)
-        if self._leave or away:
-            self._leave = False
+        is_escape = escape and any(event.type == pygame.KEYDOWN and event.key == pygame.K_ESCAPE for event in pressed)
+        if self._quit_requested or is_escape:
+            self._quit_requested = False
             raise Quit
         return pressed
 
     def _take(self) -> list[str]:
-        """Names of the keys that were pressed; the first button of a gamepad is space, both enters are return."""
+        """Names of the pressed keys; a gamepad's first button counts as space, and both enter keys as return."""
         self.poll()
         names, self._early = self._early, []
         for event in self._events():
@@ -212,11 +211,12 @@ class Window:
                 names.append("space" if event.button == 0 else f"button {event.button}")
         return names
 
-    def _own(self, key: str) -> bool:
+    def _handle(self, key: str) -> bool:
+        """Handle a key of the window itself; returns whether it is one."""
         if key == "o" and "o" in self.keys:
             self.overlay = not self.overlay
-        elif key in ("h", "f1") or (key == "space" and self.helping):
-            self.helping = not self.helping
+        elif key in ("h", "f1") or (key == "space" and self.shows_help):
+            self.shows_help = not self.shows_help
         elif key in ("f", "f11"):
             self.toggle_fullscreen()
         else:
@@ -224,7 +224,7 @@ class Window:
         return True
 
     def toggle_fullscreen(self) -> None:
-        """Fill the screen, or be a window again; where a display can do neither, nothing happens."""
+        """Switch between full screen and window, if the display can."""
         fullscreen = not pygame.display.is_fullscreen()
         try:
             self.surface = self._open(fullscreen)
@@ -235,35 +235,35 @@ class Window:
     def _wait(self) -> None:
         self.clock.wait(self.next_frame - self.clock.now())
 
-    def _flip(self, began: float) -> None:
+    def _flip(self, start: float) -> None:
         pygame.display.flip()
         now = self.clock.now()
-        self.cost += 0.1 * (now - began - self.cost)
+        self.frame_cost += 0.1 * (now - start - self.frame_cost)
         if self._last_frame is not None:
             self.frame_times.append(now - self._last_frame)
         self._last_frame = now
         self.next_frame += self.interval
-        if self.next_frame < now:  # pictures that were missed are not made up for
+        if self.next_frame < now:  # missed frames are skipped
             self.next_frame = now
 
-    def _draw_bar(self, moment: DisplayState) -> None:
+    def _draw_bar(self, display: DisplayState) -> None:
         middle, line = self.size[0] / 2, BAR / 2
-        write(self.surface, moment.title, (EDGE, line), 19, INK, bold=True)
-        write(self.surface, str(moment.won), (middle - 16, line), 26, COLORS[LEFT], True, "midright")
+        write(self.surface, display.title, (EDGE, line), 19, INK, bold=True)
+        write(self.surface, str(display.won), (middle - 16, line), 26, COLORS[LEFT], True, "midright")
         write(self.surface, ":", (middle, line), 26, INK, True, "center")
-        write(self.surface, str(moment.lost), (middle + 16, line), 26, COLORS[RIGHT], True, "midleft")
+        write(self.surface, str(display.lost), (middle + 16, line), 26, COLORS[RIGHT], True, "midleft")
         left = middle + 70
         for model, mark in self.arena.marks.items() if self.overlay else ():
             left = self.surface.blit(mark, mark.get_rect(midleft=(left, line))).right + 2
             left = write(self.surface, model, (left, line), 14, INK).right + 10
-        minutes, seconds = divmod(int(moment.seconds), 60)
+        minutes, seconds = divmod(int(display.seconds), 60)
         write(self.surface, f"{minutes}:{seconds:02d}", (self.size[0] - EDGE, line), 19, INK, True, "midright")
 
-    def _draw_foot(self, moment: DisplayState) -> None:
-        line, left, newtons = self.size[1] - FOOT / 2, EDGE + 110, hypot(*moment.force)
+    def _draw_foot(self, display: DisplayState) -> None:
+        line, left, newtons = self.size[1] - FOOT / 2, EDGE + 110, hypot(*display.force)
         if self.shows_force:
             write(self.surface, f"force {newtons:.1f} N", (EDGE, line), 14, FORCE if newtons else FADED, bold=True)
-        for name, weight in moment.weights.items() if self.shows_force else ():
+        for name, weight in display.weights.items() if self.shows_force else ():
             left = write(self.surface, name, (left, line), 14, INK).right + 6
             for share, color in ((1.0, GRAY), (weight, FORCE)):
                 pygame.draw.rect(self.surface, color, (left, line - 6, 70 * share, 12))
@@ -271,9 +271,9 @@ class Window:
         write(self.surface, HINT, (self.size[0] - EDGE, line), 14, FADED, anchor="midright")
 
     def _draw_note(self, note: str) -> None:
-        room = self.size[0] - 4 * EDGE
-        size = next((size for size in range(20, 9, -1) if letters(note, size, INK, True).get_width() <= room), 10)
-        box = letters(note, size, INK, True).get_rect().inflate(2 * EDGE, 24)
+        max_width = self.size[0] - 4 * EDGE
+        size = next((size for size in range(20, 9, -1) if render(note, size, INK, True).get_width() <= max_width), 10)
+        box = render(note, size, INK, True).get_rect().inflate(2 * EDGE, 24)
         box.center = (self.size[0] // 2, BAR + self.arena.size[1] // 2)
         veil(self.surface, box, (*PAPER, 225))
         write(self.surface, note, box.center, size, INK, True, "center")

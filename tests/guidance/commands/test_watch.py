@@ -16,17 +16,8 @@ from airhockey_marl.envs.rendering import SMOOTHING, View
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.players import Player
 from guidance.commands import watch
-from guidance.display.film import (
-    ARROW,
-    NARROWEST,
-    PAPER,
-    TARGETS,
-    FilmInfo,
-    draw_moment,
-    draw_play,
-    draw_sheet,
-    save_film,
-)
+from guidance.display.film import MIN_WIDTH, FilmInfo, draw_frame, draw_play, draw_sheet, save_film
+from guidance.display.scene import ARROW, PAPER, TARGETS
 from guidance.forces.condition_specs import ConditionSpec
 from guidance.forces.conditions import (
     CombinedGuidance,
@@ -200,10 +191,10 @@ def test_the_ellipse_reaches_one_std_from_the_target(model):
 def test_the_film_has_the_colors_of_its_pictures(tmp_path, used):
     stds = {f"{model}_std_{axis}": 0.3 for model in TARGETS for axis in "xy"}
     ticks = pd.concat([still(**stds, force_x=2.0, w_sim=0.5)] * 2, ignore_index=True)
-    scene = replace(SCENE, used=frozenset({used}))
+    scene = replace(SCENE, guiding_models=frozenset({used}))
     save_film(tmp_path / "film.gif", ticks, scene, 1, 20)
     with Image.open(tmp_path / "film.gif") as film:
-        off = np.abs(np.asarray(film.convert("RGB"), dtype=int) - np.asarray(draw_moment(ticks, 0, scene), dtype=int))
+        off = np.abs(np.asarray(film.convert("RGB"), dtype=int) - np.asarray(draw_frame(ticks, 0, scene), dtype=int))
     assert np.quantile(off.max(axis=2), 0.99) <= 8
 
 
@@ -211,18 +202,22 @@ def test_a_target_off_the_table_stays_in_the_picture_and_an_unused_one_is_pale()
     for x, y in ((-5, -5), (5, 5)):
         picture = np.asarray(draw_play(still(optimal_x=x, optimal_y=y), 0, SCENE, 800))
         assert np.all(picture == TARGETS["optimal"], axis=2).sum() > 20
-    used, unused = (draw_play(still(), 0, replace(SCENE, used=used), 800) for used in (frozenset(TARGETS), frozenset()))
+    used, unused = (
+        draw_play(still(), 0, replace(SCENE, guiding_models=used), 800) for used in (frozenset(TARGETS), frozenset())
+    )
     dark, pale = (np.all(np.asarray(picture) == TARGETS["predicted"], axis=2).any() for picture in (used, unused))
     assert dark and not pale
 
 
-@pytest.mark.parametrize("width", [NARROWEST, 800, 1200])
+@pytest.mark.parametrize("width", [MIN_WIDTH, 800, 1200])
 def test_every_text_fits(width):
     """Nothing is written at the right edge, whatever the longest names are, and all weights find room."""
-    unused = replace(SCENE, used=frozenset(), width=width, title="CombHG (UT+UA+SC)", player="simulated all-round")
+    unused = replace(
+        SCENE, guiding_models=frozenset(), width=width, title="CombHG (UT+UA+SC)", player="simulated all-round"
+    )
     ticks = still(w_unc_optimal=1.0, w_unc_predicted=0.0, w_sim=0.5, intention="SMASH_BANK_RIGHT")
-    for scene in (unused, replace(unused, adapted=True, used=frozenset(TARGETS))):
-        pixels = np.asarray(draw_moment(ticks, 0, scene))
+    for scene in (unused, replace(unused, is_adapted=True, guiding_models=frozenset(TARGETS))):
+        pixels = np.asarray(draw_frame(ticks, 0, scene))
         for part in (pixels[:60], pixels[-60:]):
             assert (part[:, -4:] == PAPER).all() and (part[:, :4] == PAPER).all()
 
@@ -262,7 +257,7 @@ def test_a_goal_stays(tmp_path):
         ("frames_per_second=24", "frames_per_second = 24 must divide 50"),
         ("frames_per_second=0", "frames_per_second = 0 must be a whole number of at least 1"),
         ("speed=3", "speed = 3 must be a number above 0.0 and at most 2.0"),
-        ("width=100", f"width = 100 must be a whole number of at least {NARROWEST}"),
+        ("width=100", f"width = 100 must be a whole number of at least {MIN_WIDTH}"),
         ("condition=oahgg", "condition = oahgg must be one of combhg_ua, "),
         ("~condition", "condition = null must be one of combhg_ua, "),
         ("condition.letter=7", "condition.letter = 7 must be one of a to z"),

@@ -12,12 +12,12 @@ from hypothesis import strategies as st
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec
 from airhockey_marl.envs.rendering import COLORS, FELT
 from guidance.display.arena import Arena
-from guidance.display.film import ARROW, FORCE, PAPER, TARGETS
 from guidance.display.pages import Items, Page
-from guidance.display.window import BAR, NARROWEST, Window
+from guidance.display.scene import ARROW, FORCE, PAPER, TARGETS
+from guidance.display.window import BAR, MIN_WIDTH, Window
 from guidance.forces.conditions import Prediction
 from guidance.haptics.clock import SimulatedClock
-from guidance.haptics.seat import DisplayState, Quit
+from guidance.haptics.screen import DisplayState, Quit
 
 STATE = np.array([-0.5, 0.1, 0, 0, 0.6, -0.2, 0, 0, 0.2, 0.3, 0, 0])
 ITEMS = {name: f"How {name}?" for name in ("helpful", "natural", "controllable", "comfortable")}
@@ -25,14 +25,16 @@ ITEMS = {name: f"How {name}?" for name in ("helpful", "natural", "controllable",
 
 @pytest.fixture
 def window():
-    window = Window("test", TableSpec(), NARROWEST, 60, SimulatedClock(), {"o": "targets", "h": "help"})
+    window = Window("test", TableSpec(), MIN_WIDTH, 60, SimulatedClock(), {"o": "targets", "h": "help"})
     yield window
     window.close()
 
 
 def moment(**changes) -> DisplayState:
     state = changes.pop("state", STATE)
-    return DisplayState(state=state, last=state, share=1.0, **{"hand": np.array([-0.03, 0.2]), **changes})
+    return DisplayState(
+        state=state, previous_state=state, tick_fraction=1.0, **{"hand": np.array([-0.03, 0.2]), **changes}
+    )
 
 
 def press(*keys: int | str) -> None:
@@ -44,7 +46,7 @@ def press(*keys: int | str) -> None:
 
 def shown(window: Window, now: DisplayState) -> np.ndarray:
     """(height, width, 3) the picture, without the trails of those before."""
-    window.arena._way = []
+    window.arena._trail = []
     window.frame(now)
     return window.screenshot().astype(int)
 
@@ -76,7 +78,9 @@ def test_nothing_changes_where_nothing_moves_and_the_puck_changes_where_it_was_a
 def test_between_two_ticks_a_body_is_between_two_places(window):
     later = STATE.copy()
     later[8:10] = 0.3, 0.3
-    picture = shown(window, DisplayState(state=later, last=STATE, share=0.5, hand=np.array([0.9, 0.9])))
+    picture = shown(
+        window, DisplayState(state=later, previous_state=STATE, tick_fraction=0.5, hand=np.array([0.9, 0.9]))
+    )
     assert color_at(window, picture, 0.25, 0.3) == COLORS[PUCK]
     assert color_at(window, picture, 0.25 + 0.04, 0.3) != COLORS[PUCK]
 
@@ -132,7 +136,7 @@ def test_targets_are_shown_when_asked_for_and_only_where_they_may_be(window):
 
 
 @settings(deadline=None)
-@given(action=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), width=st.integers(NARROWEST, 2000))
+@given(action=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), width=st.integers(MIN_WIDTH, 2000))
 def test_the_pointer_asks_for_the_place_under_it(action, width):
     arena = ARENAS.setdefault(width // 400, None) or _arena(width // 400)
     assert np.allclose(arena.action_at(arena.of_action(np.array(action))), action, atol=1e-9)
@@ -150,7 +154,7 @@ def _arena(size: int) -> Arena:
 
 def test_the_pointer_is_told(window):
     told = []
-    window.pointed = told.append
+    window.on_pointer = told.append
     x, y = window.arena.of_action(np.array([0.5, -0.25]))
     pygame.mouse.set_pos(round(x), round(y) + BAR)
     window.poll()
@@ -161,9 +165,9 @@ def test_keys_come_once_and_the_window_keeps_its_own(window):
     press("3", "a", "page up", "space")
     assert window.frame(moment()) == ["3", "a", "page up", "space"] and window.frame(moment()) == []
     press("h", "3")
-    assert window.frame(moment()) == ["3"] and not window.attentive
+    assert window.frame(moment()) == ["3"] and not window.has_focus
     press("space")
-    assert window.frame(moment()) == [] and window.attentive  # closes the help, and starts nothing
+    assert window.frame(moment()) == [] and window.has_focus  # closes the help, and starts nothing
     pygame.event.post(pygame.event.Event(pygame.JOYBUTTONDOWN, button=0, instance_id=0))
     assert window.frame(moment()) == ["space"]
 
@@ -172,7 +176,7 @@ def test_who_turns_to_another_window_is_not_attentive(window):
     for event, attentive in ((pygame.WINDOWFOCUSLOST, False), (pygame.WINDOWFOCUSGAINED, True)):
         pygame.event.post(pygame.event.Event(event))
         window.poll()
-        assert window.attentive == attentive
+        assert window.has_focus == attentive
 
 
 @pytest.mark.parametrize(
@@ -189,7 +193,7 @@ def test_closing_and_escape_leave(window, event):
 
 def test_a_gamepad_that_is_unplugged_is_told(window):
     gone = []
-    window.unplugged = gone.append
+    window.on_disconnect = gone.append
     pygame.event.post(pygame.event.Event(pygame.JOYDEVICEREMOVED, instance_id=7))
     window.poll()
     assert gone == [7]
@@ -280,7 +284,7 @@ def test_a_note_is_written_down(window):
     assert window.write_down(Page("Interview", "What?", {})) == "fine"
 
 
-@pytest.mark.parametrize("width", [NARROWEST, 1100, 1600])
+@pytest.mark.parametrize("width", [MIN_WIDTH, 1100, 1600])
 def test_every_text_fits(width):
     from guidance.commands.lab import KEYS as LAB_KEYS
     from guidance.commands.play import KEYS
@@ -290,7 +294,7 @@ def test_every_text_fits(width):
     long = {"return": "begin", "s": "no practice"}
     numbers = {"familiarization": 30, "rounds": 7, "most": 10, "number": 9, "games": 9}
     nine = {str(i): "(i) CombHG (UT+UA+SC)" for i in range(1, 10)}
-    with open("guidance/consent.txt", encoding="utf-8") as file:
+    with open("guidance/sessions/consent.txt", encoding="utf-8") as file:
         consent = file.read()
     pages = [Page("Before you take part", consent, {"y": "I have read this and take part", "n": "I do not"})]
     pages += [Page("Game 9 of 9", text.format(**numbers), long) for text in (WELCOME, FIRST_GAME, NEXT_GAME)]
