@@ -7,8 +7,8 @@
     airhockey lab participant=S1 device=simulated window=false    a simulated person takes the seat
     airhockey report runs=outputs/lab/records        the study so far, analyzed as any other
 
-The games are those of `guidance.evaluate`, in the same order and under the same forces; the seat is another. Records
-are a folder of their own (`records=`), in the manner of BIDS: what is finished is never lost, see `guidance.sessions.bids`.
+The games are those of `guidance.evaluate`, in the same order and under the same forces. The records (`records=`) are a
+folder laid out as BIDS; finished games are never lost, see `guidance.sessions.bids`.
 """
 
 import hashlib
@@ -16,28 +16,28 @@ import json
 from contextlib import ExitStack, suppress
 from pathlib import Path
 
-import numpy as np
 import torch
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import InputError, command, report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.registry import construct
-from guidance.display.pages import Items, Page
-from guidance.display.window import NARROWEST, Window
+from guidance.display.window import MIN_WIDTH, Window
 from guidance.haptics.clock import SimulatedClock, WallClock
-from guidance.haptics.open_device import check_device, device_session
+from guidance.haptics.open_device import DEVICES, device_session
 from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.seat import NullDisplay, Quit, RealTimePlayer, leaving_when_told
-from guidance.sessions.bids import Participant, Records
+from guidance.haptics.screen import NullDisplay, Quit, quit_on_signals
+from guidance.haptics.seat import RealTimePlayer
+from guidance.sessions.bids import Records
+from guidance.sessions.json_files import load_json
 from guidance.sessions.lsl import open_streams
-from guidance.sessions.recording import load_json
-from guidance.sessions.session import SKIP, NullEvents, Session, SessionPlan
-from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
+from guidance.sessions.participant import Participant
+from guidance.sessions.session import NullEvents, Session, SessionPlan
+from guidance.sessions.simulated_participant import SimulatedParticipant
+from guidance.simulated_users import Population, sample_people
 from guidance.simulated_users.force_response import check_variant
-from guidance.simulated_users.ratings import RATINGS
 from guidance.study.models import Models
-from guidance.study.protocol import CALIBRATION_GAME, Protocol, spawn_rng_states
+from guidance.study.protocol import Protocol
 from guidance.study.provenance import file_hashes, load_conditions, load_models, load_opponent, manifest
 
 KEYS = {
@@ -51,38 +51,6 @@ NEW = "new"
 OF_A_SESSION = ("participant", "withdraw", "records", "window", "fullscreen", "width", "lsl")  # and not of the study
 
 
-class Sitter:
-    """A simulated person in the laboratory: who reads everything, and answers as simulated people do.
-
-    Args:
-        person: (1,) see `guidance.simulated_users`.
-        place: theirs in the study.
-    """
-
-    def __init__(self, cfg: DictConfig, person: np.ndarray, place: int) -> None:
-        self.cfg, self.person, self.place, self.mentors = cfg, person, place, load_advisors(cfg.users.mentors)
-        self.users = self._in_game(CALIBRATION_GAME)
-
-    def _in_game(self, game: int) -> SimulatedUsers:
-        """As the study has them in this game."""
-        mind = spawn_rng_states(self.cfg.seed, [self.place], game, 0)
-        return SimulatedUsers(self.person, mind, TableSpec(), self.cfg.users.variant, self.mentors)
-
-    def sit_down(self, seat: RealTimePlayer, game: int) -> None:
-        """Take the seat for a game."""
-        self.users = seat.person = seat.hand.device.users = self._in_game(game)
-
-    def page(self, page: Page) -> str:
-        return SKIP if SKIP in page.keys else next(iter(page.keys))
-
-    def ask(self, items: Items) -> dict[str, int]:
-        ratings = self.users.ratings(OmegaConf.to_container(self.cfg.users.scales))
-        return {name: int(ratings[name][0]) for name in RATINGS}
-
-    def write_down(self, page: Page) -> str:
-        return ""
-
-
 def check(cfg: DictConfig) -> None:
     """Refuse what no session can be held with.
 
@@ -90,11 +58,11 @@ def check(cfg: DictConfig) -> None:
         InputError: names the key, its value and what is allowed.
     """
     require_counts(cfg, "participants", "threads", "frames_per_second")
-    require_counts(cfg, "width", least=NARROWEST)
+    require_counts(cfg, "width", least=MIN_WIDTH)
     require_counts(cfg, "seed", least=0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "breath", least=0.0, at_most=10.0)
-    check_device(cfg.device)
+    DEVICES.build(cfg.device, "device")
     check_variant(cfg.users.variant)
     for key in ("withdraw", "window", "fullscreen", "interview", "lsl"):
         if not isinstance(cfg[key], bool):
@@ -154,32 +122,33 @@ def main(cfg: DictConfig) -> None:
         people = sample_people(
             cfg.participants, cfg.seed, construct(Population, cfg.users.population, "users.population")
         )
+        device = DEVICES.build(cfg.device, "device")
         facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else NullEvents()
     torch.set_num_threads(cfg.threads)
     clock = WallClock() if cfg.window else SimulatedClock()
     with ExitStack() as room:
-        window = held = sitter = None
+        window = opened = simulated = None
         if cfg.window:
             how = cfg.width, cfg.frames_per_second, clock, KEYS
             window = room.enter_context(Window("Air hockey", TableSpec(), *how, shows_force=False))
         if cfg.device.kind != "simulated":  # nobody is enrolled, and no study begun, before there is something to hold
-            held = room.enter_context(device_session(cfg.device, limits))
+            opened = room.enter_context(device_session(device, limits))
         with report_input_errors():
             records = room.enter_context(Records(cfg.records, facts))
         participant = enrolled(records, cfg)
-        if held is None:
-            sitter = Sitter(cfg, people[participant.place : participant.place + 1], participant.place)
-            held = room.enter_context(device_session(cfg.device, limits, sitter.users))
+        if opened is None:
+            simulated = SimulatedParticipant(people, participant.place, cfg.seed, cfg.users)
+            opened = room.enter_context(device_session(device, limits, simulated.users))
         seat = RealTimePlayer(
-            held.hand, window or NullDisplay(), clock, TableSpec().tick, cfg.breath if cfg.window else 0.0
+            opened.hand, window or NullDisplay(), clock, TableSpec().tick, cfg.breath if cfg.window else 0.0
         )
         if window is not None:
-            window.pointed, window.unplugged = held.pointed, held.unplugged
+            window.on_pointer, window.on_disconnect = opened.on_pointer, opened.on_disconnect
             if cfg.fullscreen:
                 window.toggle_fullscreen()
-        seated = (lambda game: sitter.sit_down(seat, game)) if sitter else (lambda game: None)
-        with suppress(Quit), leaving_when_told():
-            Session(plan, participant, seat, window or sitter, events, seated).run()
+        seated = (lambda game: simulated.begin_game(seat, game)) if simulated else (lambda game: None)
+        with suppress(Quit), quit_on_signals():
+            Session(plan, participant, seat, window or simulated, events, seated).run()
         if participant.consent is None:
             records.withdraw(participant.label, counted=False)
             print(f"{participant.label} does not take part; nothing of theirs is kept")

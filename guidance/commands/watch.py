@@ -32,12 +32,12 @@ from airhockey_marl.experiment.command import (
     require_counts,
     require_numbers,
 )
-from airhockey_marl.experiment.files import atomic_write, find_files
+from airhockey_marl.experiment.files import atomic_write
 from airhockey_marl.experiment.registry import construct
 from airhockey_marl.players.players import Player
-from guidance.display.film import NARROWEST, FilmInfo, draw_sheet, save_film
+from guidance.display.film import MIN_WIDTH, FilmInfo, draw_sheet, save_film
 from guidance.forces.conditions import ADAPTED, Condition
-from guidance.sessions.recording import games_in, load_json
+from guidance.sessions.replay import load_recorded_part
 from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
 from guidance.simulated_users.intention import Intention
@@ -45,7 +45,7 @@ from guidance.study.games import GameRunner, no_force, play_games
 from guidance.study.models import Models
 from guidance.study.protocol import CALIBRATION_GAME, Protocol, spawn_rng_states
 from guidance.study.provenance import load_conditions, load_models, load_opponent
-from guidance.study.tick_log import TickLog, read_ticks, scene_facts, tapped_guidance
+from guidance.study.tick_log import TickLog, scene_facts, tapped_guidance
 
 LONGEST = 60  # s: all pictures of a film are in memory together
 MOST_SKILL = 4.0  # standard deviations
@@ -55,67 +55,33 @@ MOST_SKILL = 4.0  # standard deviations
 def main(cfg: DictConfig) -> None:
     with report_input_errors():
         check(cfg, round(1 / TableSpec().tick))
-        again = None if cfg.run is None else recorded(Path(cfg.run), cfg.game, cfg.start, cfg.seconds)
+        again = None if cfg.run is None else load_recorded_part(Path(cfg.run), cfg.game, cfg.start, cfg.seconds)
     torch.set_num_threads(cfg.threads)
     progress = ProgressBar()
     ticks, facts = again if again is not None else simulated(cfg, progress)
-    scene = FilmInfo(
+    info = FilmInfo(
         table=TableSpec(),
         title=facts["title"],
         player=facts["player"],
         opponent=facts["opponent"],
-        used=frozenset(facts["used"]),
-        adapted=facts["adapted"],
+        guiding_models=frozenset(facts["used"]),
+        is_adapted=facts["adapted"],
         width=cfg.width,
-        simulated="wanted_x" in ticks,
+        is_simulated="wanted_x" in ticks,
     )
-    folder, tick = Path(HydraConfig.get().runtime.output_dir), scene.table.tick
+    folder, tick = Path(HydraConfig.get().runtime.output_dir), info.table.tick
     with atomic_write(folder / "watch.csv") as temporary:
         ticks.to_csv(temporary, index=False, float_format="%.6g")
     with atomic_write(folder / "watch.png") as temporary:
-        draw_sheet(ticks, scene).save(temporary)
+        draw_sheet(ticks, info).save(temporary)
     every = round(1 / (tick * cfg.frames_per_second))
     shown = 10 * round(100 * every * tick / cfg.speed)  # ms; a GIF counts in hundredths of a second
     with atomic_write(folder / "watch.gif") as temporary:
-        save_film(temporary, ticks, scene, every, shown, partial(progress, "film"))
+        save_film(temporary, ticks, info, every, shown, partial(progress, "film"))
     progress.close()
     last = ticks.iloc[-1]
-    print(f"{scene.title}: {last['won']:.0f} to {last['lost']:.0f} after {last['time_s']:g} s")
+    print(f"{info.title}: {last['won']:.0f} to {last['lost']:.0f} after {last['time_s']:g} s")
     print(f"\nfilm: {folder / 'watch.gif'}")
-
-
-def recorded(run: Path, game: str | None, start: float, seconds: float) -> tuple[pd.DataFrame, dict[str, Any]]:
-    """A part of a game that was recorded, and what its film says about it, see `guidance.study.tick_log.scene_facts`.
-
-    Args:
-        run: a game's table (`..._beh.tsv`), or a folder of `guidance.commands.play` or of a person in `guidance.commands.lab`.
-        game: in a folder, which one, by its name; None for the last.
-        start: s, the game's time where the part begins.
-        seconds: of the part.
-
-    Raises:
-        ValueError: there is no such game, or it has nothing at that time.
-    """
-    if run.is_file():
-        file = run.with_suffix(".tsv")
-        facts = load_json(run.with_suffix(".json"))["Facts"]
-    else:
-        folders = sorted({file.parent for file in find_files([run], "*_beh.json")})
-        if len(folders) > 1:
-            raise ValueError(f"run = {run} has the games of several people: name the folder of one")
-        games = games_in(folders[0])
-        if not games:
-            raise ValueError(f"run = {run} has no whole game; one that was broken off is shown by the name of its .tsv")
-        if game is not None and game not in games:
-            raise ValueError(f"game = {game} must be one of {', '.join(games)}")
-        chosen = games[list(games)[-1] if game is None else game]
-        file, facts = chosen.file, chosen.facts
-    ticks = read_ticks(file)
-    ticks = ticks[ticks["scored"] == 1]  # time begins anew after the familiarization
-    ticks = ticks[(ticks["time_s"] > start) & (ticks["time_s"] <= start + seconds)].reset_index(drop=True)
-    if ticks.empty:
-        raise ValueError(f"start = {start}: {file} has nothing then")
-    return ticks, facts
 
 
 def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dict[str, Any]]:
@@ -154,7 +120,7 @@ def check(cfg: DictConfig, ticks_per_second: int) -> None:
     """
     require_counts(cfg, "threads", "frames_per_second")
     require_counts(cfg, "seed", least=0)
-    require_counts(cfg, "width", least=NARROWEST)
+    require_counts(cfg, "width", least=MIN_WIDTH)
     require_numbers(cfg, "seconds", at_most=LONGEST)
     require_numbers(cfg, "start", least=0.0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
@@ -200,8 +166,8 @@ def play(
         serves: (1,) uint64, the table's random numbers.
 
     Returns:
-        A row per tick, see `guidance.study.tick_log.COLUMNS`, and of the person where they want the hand (wanted_x and _y, in
-        m of the hand) and their intention.
+        A row per tick, see `guidance.study.tick_log.COLUMNS`, with the desired position of the hand (wanted_x and _y,
+        in m of the hand) and the intention.
     """
     guide, overheard = tapped_guidance(condition, models, adapted, lookahead_seconds)
     rink, log = GameRunner(users, opponent, table, serves), TickLog(overheard, table.tick)

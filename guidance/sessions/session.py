@@ -1,7 +1,6 @@
-"""One person's session in the laboratory (section 4.2), from the consent to the last rating.
+"""The session of one person (section 4.2), from the consent to the last rating.
 
-Everything that is finished is on the disk before the next thing begins, so a session that was broken off, by whatever,
-goes on with the first thing that is not.
+Each finished step is on the disk before the next begins, so an interrupted session resumes at its first open step.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -17,9 +16,11 @@ from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.players.players import Player
 from guidance.display.pages import Items, Page
 from guidance.forces.conditions import Condition
-from guidance.haptics.seat import DisplayState, RealTimePlayer
-from guidance.sessions.bids import Participant
-from guidance.sessions.recording import UNSCORED, Recording
+from guidance.haptics.screen import DisplayState
+from guidance.haptics.seat import RealTimePlayer
+from guidance.sessions.game import UNSCORED
+from guidance.sessions.participant import Participant
+from guidance.sessions.recording import Recording
 from guidance.simulated_users.ratings import RATINGS
 from guidance.study.games import GameRunner, GameStep, play_games
 from guidance.study.models import Models
@@ -44,7 +45,7 @@ THANKS = "That was the last game. Thank you!"
 
 
 class ExperimenterUI(Interface):
-    """Where the person reads, answers, and the experimenter writes."""
+    """Pages and questionnaires for the person, and notes of the experimenter; see `guidance.display.window.Window`."""
 
     def page(self, page: Page) -> str: ...
 
@@ -54,17 +55,17 @@ class ExperimenterUI(Interface):
 
 
 class Events(Interface):
-    """Who wants to know what happens when, see `guidance.sessions.lsl`."""
+    """Receiver of events and ticks, see `guidance.sessions.lsl`."""
 
-    def mark(self, what: str) -> None: ...
+    def mark(self, event: str) -> None: ...
 
     def tick(self, row: Mapping[str, float]) -> None: ...
 
 
 class NullEvents:
-    """Nobody wants to know."""
+    """Null event sink."""
 
-    def mark(self, what: str) -> None:
+    def mark(self, event: str) -> None:
         pass
 
     def tick(self, row: Mapping[str, float]) -> None:
@@ -73,17 +74,19 @@ class NullEvents:
 
 @dataclass(frozen=True)
 class SessionPlan:
-    """What is the same for everybody in a study.
+    """What is the same for all participants of a study.
 
     Attributes:
-        conditions: the nine, in the order of their letters.
+        conditions: the nine conditions, ordered by letter.
+        models: the optimal action model and the user model.
+        opponent, opponent_label: the right player, and its name.
         protocol, lookahead_seconds: as in a study with simulated people.
-        participants: people for whom the order is counterbalanced.
+        participants: number of people for whom the order is counterbalanced.
         seed: of the order and the serves.
-        consent: the text that is shown.
-        questions, scale: what is asked after a game, and what 1 and 7 mean.
-        interview: whether notes on what the person says are taken.
-        device: what the hand holds.
+        consent: text shown before everything else.
+        questions, scale: the items after a game, and the meanings of 1 and 7.
+        interview: whether the experimenter notes what the person says about a game.
+        device: name of the device.
     """
 
     conditions: Sequence[Condition]
@@ -110,37 +113,46 @@ class SessionPlan:
 
 
 class Session:
-    """Takes one person through the study.
+    """Runs the session of one person.
 
     Args:
-        seated: is told the number of a game (see `guidance.study.study`) that begins; a simulated person sits down anew.
+        plan: of the study.
+        participant: the person and their records.
+        player: the person at the device.
+        ui: for pages, questionnaires and notes.
+        events: receiver of markers and ticks.
+        on_game: called with the number of a game before it begins, see `guidance.study.study`.
+
+    Attributes:
+        adapted: parameters of the user model, adapted to the person; None before the first game.
+        order: the conditions in the person's order.
     """
 
     def __init__(
         self,
         plan: SessionPlan,
         participant: Participant,
-        seat: RealTimePlayer,
-        desk: ExperimenterUI,
+        player: RealTimePlayer,
+        ui: ExperimenterUI,
         events: Events | None = None,
-        seated: Callable[[int], None] = lambda game: None,
+        on_game: Callable[[int], None] = lambda game: None,
     ) -> None:
         if participant.place >= plan.participants:
             raise ValueError(
                 f"participants = {plan.participants}: {participant.label} would be number {participant.place + 1}"
             )
-        self.plan, self.participant, self.seat, self.desk = plan, participant, seat, desk
-        self.events, self.seated = events or NullEvents(), seated
-        seat.mark = self.events.mark
+        self.plan, self.participant, self.player, self.ui = plan, participant, player, ui
+        self.events, self.on_game = events or NullEvents(), on_game
+        player.mark = self.events.mark
         self.adapted: TensorDict | None = None
         places = counterbalanced_order(plan.participants, len(plan.conditions), plan.seed)[participant.place]
         self.order = [plan.conditions[i] for i in np.argsort(places)]
 
     def run(self) -> bool:
-        """Do what is not done yet; whether the person takes part.
+        """Run the open steps; returns whether the person takes part.
 
         Raises:
-            Leave: the person wants to go; what is finished is kept.
+            Quit: the person quits; finished steps are kept.
         """
         if not self._consented():
             return False
@@ -163,7 +175,7 @@ class Session:
     def _consented(self) -> bool:
         if self.participant.consent is None:
             keys = {"y": "I have read this and take part", "n": "I do not take part"}
-            if self.desk.page(Page("Before you take part", self.plan.consent, keys)) != "y":
+            if self.ui.page(Page("Before you take part", self.plan.consent, keys)) != "y":
                 return False
             self.participant.give_consent(self.plan.consent)
             self.events.mark("consent")
@@ -171,86 +183,88 @@ class Session:
 
     def _read(self, title: str, text: str, keys: Mapping[str, str], number: int = 0) -> str:
         protocol = self.plan.protocol
-        most = protocol.rounds + protocol.extra_rounds
-        numbers = {"familiarization": protocol.familiarization, "rounds": protocol.rounds, "most": most}
-        return self.desk.page(Page(title, text.format(number=number, games=len(self.order), **numbers), keys))
+        max_rounds = protocol.rounds + protocol.extra_rounds
+        numbers = {"familiarization": protocol.familiarization, "rounds": protocol.rounds, "most": max_rounds}
+        return self.ui.page(Page(title, text.format(number=number, games=len(self.order), **numbers), keys))
 
     def _without_guidance(self) -> Condition:
         return next(condition for condition in self.plan.conditions if not condition.guidance.models())
 
     def _practice(self) -> None:
-        """A game without end and without guidance, which nobody records."""
+        """A game without guidance that is not recorded and ends by a key."""
         if self._read("Practice", WELCOME, {"return": "practice", SKIP: "no practice"}) == SKIP:
             return
-        seat, table = self.seat, TableSpec()
-        self.seated(CALIBRATION_GAME)
-        rink = GameRunner(seat, self.plan.opponent, table, self._serves(CALIBRATION_GAME, purpose=4))
-        seat.moment = DisplayState(title="Practice: return when you have had enough")
-        rink.new_games()
+        player, table = self.player, TableSpec()
+        self.on_game(CALIBRATION_GAME)
+        runner = GameRunner(player, self.plan.opponent, table, self._serves(CALIBRATION_GAME, purpose=4))
+        player.display = DisplayState(title="Practice: return when you have had enough")
+        runner.new_games()
         won = lost = 0
         self.events.mark("practice")
-        while "return" not in seat.taken():
-            tick = rink.tick()
+        while "return" not in player.take_keys():
+            tick = runner.tick()
             won, lost = won + int(tick.goals[0] > 0), lost + int(tick.goals[0] < 0)
-            seat.moment.won, seat.moment.lost = won, lost
+            player.display.won, player.display.lost = won, lost
             if tick.goals[0]:
-                rink.new_rounds(tick.goals != 0)
+                runner.new_rounds(tick.goals != 0)
 
     def _serves(self, game: int, purpose: int = 1) -> np.ndarray:
         return spawn_rng_states(self.plan.seed, [self.participant.place], game, purpose)
 
     def _play(self, condition: Condition, name: str, position: int, game: int, title: str) -> None:
-        """Play one game by the protocol, and put it on the disk round by round."""
-        plan, seat, table = self.plan, self.seat, TableSpec()
-        own = self.adapted if name != UNSCORED else None
-        guide, overheard = tapped_guidance(condition, plan.models, own, plan.lookahead_seconds)
-        log = TickLog(overheard, table.tick, seat.hand)
-        facts = scene_facts(condition, self.participant.label, plan.opponent_label, own is not None)
+        """Play one game by the protocol, and save it round by round."""
+        plan, player, table = self.plan, self.player, TableSpec()
+        adapted = self.adapted if name != UNSCORED else None
+        forces, tap = tapped_guidance(condition, plan.models, adapted, plan.lookahead_seconds)
+        log = TickLog(tap, table.tick, player.hand)
+        facts = scene_facts(condition, self.participant.label, plan.opponent_label, adapted is not None)
         facts |= {"device": plan.device, "questions": dict(plan.questions), "scale": list(plan.scale)}
-        self.seated(game)
+        self.on_game(game)
         with self.participant.begin_game(name, position, COLUMNS, facts) as recording:
             self.events.mark(f"begin {name}")
-            seat.moment = DisplayState(title=title)
+            player.display = DisplayState(title=title)
 
-            def watching(tick: GameStep, scored: bool, ended: np.ndarray) -> None:
+            def on_tick(tick: GameStep, scored: bool, ended: np.ndarray) -> None:
                 self._watch(log, recording, tick, scored, ended)
 
             try:
-                played = play_games(
-                    seat, plan.opponent, guide, plan.protocol, table, self._serves(game), watching=watching
+                result = play_games(
+                    player, plan.opponent, forces, plan.protocol, table, self._serves(game), watching=on_tick
                 )
             except BaseException:
                 self.events.mark(f"interrupted {name}")
                 raise
-            results = {**played.results, **played.weights, "rounds": played.rounds, "duration_s": played.seconds}
+            results = {**result.results, **result.weights, "rounds": result.rounds, "duration_s": result.seconds}
             numbers = {key: float(values[0]) for key, values in results.items()}
             if not condition.guidance.models():
-                numbers["mean_disagreement"] = float("nan")  # there is no force to disagree with (section 5.2)
-            recording.finish(numbers, {"late_ticks": seat.late, "pauses": seat.pauses, "faults": seat.faults})
+                numbers["mean_disagreement"] = float("nan")  # without a force it is undefined (section 5.2)
+            recording.finish(
+                numbers, {"late_ticks": player.late_ticks, "pauses": player.pauses, "faults": player.faults}
+            )
         self.events.mark(f"end {name}")
 
     def _watch(self, log: TickLog, recording: Recording, tick: GameStep, scored: bool, ended: np.ndarray) -> None:
-        """Show how it stands, and save each round as it ends."""
-        began = scored and not log.scored
+        """Show the score, and save each round when it ends."""
+        is_start = scored and not log.scored
         row = log(tick, scored, bool(ended[0]))
         self.events.tick(row)
-        moment = self.seat.moment
-        moment.won, moment.lost, moment.seconds = log.won, log.lost, row["time_s"]
-        left = self.plan.protocol.familiarization - row["time_s"]
-        moment.note = f"the game begins in {ceil(left)} s" if not scored and 0 < left < 4 else ""
-        if began:
+        display = self.player.display
+        display.won, display.lost, display.seconds = log.won, log.lost, row["time_s"]
+        remaining = self.plan.protocol.familiarization - row["time_s"]
+        display.note = f"the game begins in {ceil(remaining)} s" if not scored and 0 < remaining < 4 else ""
+        if is_start:
             self.events.mark("scored")
         if row["goal"]:
             self.events.mark("goal" if row["goal"] > 0 else "goal against")
         if ended[0]:
-            moment.note = {1: "goal!", -1: "goal against you", 0: "out of time"}[int(row["goal"])]
+            display.note = {1: "goal!", -1: "goal against you", 0: "out of time"}[int(row["goal"])]
             recording.append(log.take())
 
     def _rate(self, name: str, title: str) -> None:
         low, high = self.plan.scale
-        ratings = self.desk.ask(Items(f"{title}: how was the guidance?", self.plan.questions, low, high))
+        ratings = self.ui.ask(Items(f"{title}: how was the guidance?", self.plan.questions, low, high))
         self.participant.save_ratings(name, ratings)
         self.events.mark(f"rated {name}")
         if self.plan.interview:
             text = "For the experimenter: what did the person say about this game? Return when done; may stay empty."
-            self.participant.save_ratings(name, ratings, self.desk.write_down(Page(f"{title}: interview", text, {})))
+            self.participant.save_ratings(name, ratings, self.ui.write_down(Page(f"{title}: interview", text, {})))

@@ -11,13 +11,13 @@ from hydra import compose, initialize_config_dir
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
-from guidance.commands.play import Play
 from guidance.display.window import Window
 from guidance.haptics.clock import WallClock
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
 from guidance.haptics.seat import RealTimePlayer
 from guidance.haptics.servo import InProcessServo
+from guidance.sessions.free_play import FreePlay
 from guidance.simulated_users import SimulatedUsers, sample_people
 from guidance.study.models import Models
 from guidance.study.protocol import spawn_rng_states
@@ -47,17 +47,17 @@ def seat_punctuality(seconds: float = 20.0) -> dict[str, float]:
         InProcessServo(Simulated(person), SafetyLimits()), window, clock, table.tick, breath=0.0, person=person
     )
     pushes, push = [], seat.hand.push
-    seat.hand.push = lambda force, held=True: (pushes.append(clock.now()), push(force, held))
+    seat.hand.push = lambda force, is_held=True: (pushes.append(clock.now()), push(force, is_held))
     try:
         with tempfile.TemporaryDirectory() as folder:
             how = 0.1, 60.0, seat, spawn_rng_states(0, [0], 0, 1), Path(folder)
-            play = Play(conditions, models, League.load(cfg.models.opponents), cfg.opponent, *how)
+            play = FreePlay(conditions, models, League.load(cfg.models.opponents), cfg.opponent, *how)
             play.adapted = models.adapted_to([(torch.randn(500, 12), torch.randn(500, 2))])
             play.run(conditions["i"], seconds)
     finally:
         window.close()
     times = {"frame": window.frame_times, "force_latency": seat.latencies, "force_period": np.diff(pushes)}
-    figures = {"late_ticks": seat.late}
+    figures = {"late_ticks": seat.late_ticks}
     for name, values in times.items():
         p50, p99 = np.percentile(1000 * np.array(values[WARM_UP:]), (50, 99))
         figures |= {f"{name}_p50_ms": round(float(p50), 2), f"{name}_p99_ms": round(float(p99), 2)}

@@ -34,7 +34,8 @@ from airhockey_marl.league.opponent_sampling import OPPONENT_SAMPLERS
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.forces.equations import similarity_weight, spring_force, uncertainty_weight
 from guidance.haptics.safety import Safety, SafetyLimits
-from guidance.sessions.bids import Records, check_label
+from guidance.sessions.bids import Records
+from guidance.sessions.participant import check_label
 from guidance.statistics.report import merge
 from guidance.study.models import load_user_model
 from guidance.study.tick_log import COLUMNS, read_ticks
@@ -242,7 +243,7 @@ class Targets:
         return outcome(resume)
 
     def target(self, rng: np.random.Generator) -> str:
-        names = ["os.system", "builtins.exec", "guidance.haptics.servo.ServoProcess", "../trpo", "trpo", ""]
+        names = ["os.system", "builtins.exec", "guidance.haptics.servo_process.ServoProcess", "../trpo", "trpo", ""]
         key = ("name", "_target_")[rng.integers(2)]
         node: object = {key: str(rng.choice(names)), "command": f"touch {self.trap}"}
         for _ in range(rng.integers(4)):

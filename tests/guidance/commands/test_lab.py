@@ -14,11 +14,10 @@ import pandas as pd
 import pygame
 import pytest
 
-from guidance.commands import evaluate, lab
-from guidance.display.window import NARROWEST, Window
+from guidance.commands import evaluate, lab, report
+from guidance.display.window import MIN_WIDTH, Window
 from guidance.haptics.clock import SimulatedClock
 from guidance.simulated_users.ratings import RATINGS
-from guidance.statistics import report
 from guidance.study.tick_log import read_ticks
 from tests.processes import Command, start
 
@@ -230,7 +229,7 @@ def at_a_window(monkeypatch, tmp_path):
         for name, value in habits.items():
             monkeypatch.setattr(Reader, name, value)
         where = f"records={tmp_path}/records", f"hydra.run.dir={tmp_path}/run"
-        how = "device=simulated", "+preset=smoke", "participant=P1", "breath=0.2", f"width={NARROWEST}"
+        how = "device=simulated", "+preset=smoke", "participant=P1", "breath=0.2", f"width={MIN_WIDTH}"
         code, said, complained = here(lab.main, *how, *where)
         assert code == 0, complained
         return Reader.last, said

@@ -17,14 +17,15 @@ from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
 from guidance.commands import play, watch
-from guidance.commands.play import LEAST_DEMONSTRATION, Play
 from guidance.haptics.clock import SimulatedClock
 from guidance.haptics.devices.mouse import Mouse
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.seat import NullDisplay, RealTimePlayer
+from guidance.haptics.screen import NullDisplay
+from guidance.haptics.seat import RealTimePlayer
 from guidance.haptics.servo import InProcessServo
-from guidance.sessions.recording import games_in
+from guidance.sessions.free_play import MIN_DEMONSTRATION_TICKS, FreePlay
+from guidance.sessions.game import load_games
 from guidance.simulated_users import SimulatedUsers, sample_people
 from guidance.study.models import Models
 from guidance.study.protocol import spawn_rng_states
@@ -59,7 +60,7 @@ def shipped():
     return models, conditions, League.load(cfg.models.opponents)
 
 
-def played(shipped, folder: Path, seconds: float, *pressed: tuple[int, str], seed: int = 3) -> tuple[Play, Keys]:
+def played(shipped, folder: Path, seconds: float, *pressed: tuple[int, str], seed: int = 3) -> tuple[FreePlay, Keys]:
     models, conditions, opponents = shipped
     clock = SimulatedClock()
     person = SimulatedUsers(sample_people(1, seed), spawn_rng_states(seed, [0], 0, 0), TABLE)
@@ -67,7 +68,7 @@ def played(shipped, folder: Path, seconds: float, *pressed: tuple[int, str], see
     seat = RealTimePlayer(
         InProcessServo(Simulated(person), SafetyLimits()), screen, clock, TABLE.tick, breath=0.0, person=person
     )
-    game = Play(conditions, models, opponents, 55, 0.1, 60.0, seat, spawn_rng_states(seed, [0], 0, 1), folder)
+    game = FreePlay(conditions, models, opponents, 55, 0.1, 60.0, seat, spawn_rng_states(seed, [0], 0, 1), folder)
     game.run(conditions["1"], seconds)
     return game, screen
 
@@ -75,7 +76,7 @@ def played(shipped, folder: Path, seconds: float, *pressed: tuple[int, str], see
 def test_keys_choose_guidances_and_every_stretch_is_a_recording(shipped, tmp_path):
     game, _ = played(shipped, tmp_path, 6.0, (100, "2"), (200, "3"), (250, "page up"))
     names = ["01nhg", "02oahg", "03oahgut", "04oahgut"]
-    games = games_in(tmp_path)
+    games = load_games(tmp_path)
     assert list(games) == names == list(game.games)
     tables = [read_ticks(games[name].file) for name in names]
     assert sum(map(len, tables)) == 300 and all(list(table) == list(COLUMNS) for table in tables)
@@ -84,7 +85,9 @@ def test_keys_choose_guidances_and_every_stretch_is_a_recording(shipped, tmp_pat
     assert tables[0]["w_unc_optimal"].isna().all() and tables[2]["w_unc_optimal"].notna().all()
     felt = np.hypot(tables[1]["felt_x"], tables[1]["felt_y"])
     asked = np.hypot(tables[1]["force_x"], tables[1]["force_y"])
-    assert 0.5 < felt.max() <= 3.0 and np.mean(np.abs(felt - asked) < 1e-5) > 0.8  # but where it changes too fast
+    assert (
+        0.5 < felt.max() <= 3.0 * (1 + 1e-12) and np.mean(np.abs(felt - asked) < 1e-5) > 0.8
+    )  # but where it changes too fast
     assert (
         games["04oahgut"].facts["opponent"] == "generation 60"
         and games["03oahgut"].facts["opponent"] == "generation 55"
@@ -100,7 +103,7 @@ def test_the_same_keys_give_the_same_bytes(shipped, tmp_path):
 
 
 def test_a_guidance_with_ua_waits_for_the_players_own_game(shipped, tmp_path):
-    enough = LEAST_DEMONSTRATION
+    enough = MIN_DEMONSTRATION_TICKS
     game, screen = played(
         shipped,
         tmp_path,
@@ -132,12 +135,14 @@ def test_a_mouse_plays_where_it_points(shipped, tmp_path):
     models, conditions, opponents = shipped
     clock, mouse = SimulatedClock(), Mouse()
     seat = RealTimePlayer(InProcessServo(mouse, SafetyLimits()), NullDisplay(), clock, TABLE.tick, breath=0.0)
-    game = Play(conditions, models, opponents, 0, 0.1, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path)
+    game = FreePlay(conditions, models, opponents, 0, 0.1, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path)
     mouse.point(0.03, -0.06)
     game.run(conditions["1"], 1.0)
     ticks = game.games["01nhg"].ticks()
     assert np.allclose(ticks[["action_x", "action_y"]].iloc[-1], [0.4, -0.8], atol=1e-6)
-    game = Play(conditions, models, opponents, 0, 0.1, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path / "pushed")
+    game = FreePlay(
+        conditions, models, opponents, 0, 0.1, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path / "pushed"
+    )
     game.run(conditions["2"], 4.0)
     ticks = game.games["01oahg"].ticks()
     pulled = ticks[["action_x", "action_y"]].to_numpy() - [0.4, -0.8]
@@ -184,7 +189,7 @@ def test_what_was_not_played_is_refused(shipped, tmp_path, monkeypatch, capsys, 
 def test_the_command_plays_in_real_time_and_says_how_it_went(tmp_path):
     done = start("guidance.commands.play", "device=simulated", "seconds=2", "breath=0", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
-    (game,) = games_in(tmp_path).values()
+    (game,) = load_games(tmp_path).values()
     assert len(game.ticks()) == 100
     assert "01 NHG, generation 55" in done.stdout and f"again: airhockey watch run={tmp_path}" in done.stdout
     description = json.loads(game.file.with_suffix(".json").read_text())
@@ -199,7 +204,7 @@ def test_who_is_told_to_end_ends_well(tmp_path):
     os.kill(command.pid, signal.SIGTERM)
     done = command.wait()
     assert done.returncode == 0 and "again: airhockey watch" in done.stdout, done.stderr
-    (game,) = games_in(tmp_path).values()
+    (game,) = load_games(tmp_path).values()
     assert len(game.ticks()) == pytest.approx(game.results["duration_s"] / TABLE.tick)
 
 
@@ -208,7 +213,7 @@ def test_who_is_told_to_end_ends_well(tmp_path):
     [
         ("device=cuda", "device = cuda must be one of forcedimension, gamepad, mouse, simulated"),
         ("device=joystick", "device = joystick must be one of forcedimension, gamepad, mouse, simulated"),
-        ("device.fastest=0", "device.fastest = 0 must be a number above 0"),
+        ("device.max_speed=0", "device.max_speed = 0 must be a number above 0"),
         ("device=gamepad", "device: gamepad = 0 must be the index of a connected gamepad, of which there are 0"),
         ("condition=uphg_ua", "condition = uphg_ua needs a model of you"),
         ("opponent=1000", "generation = 1000"),
@@ -220,7 +225,7 @@ def test_who_is_told_to_end_ends_well(tmp_path):
 )
 def test_wrong_values_end_in_one_line(monkeypatch, capsys, tmp_path, argument, message):
     monkeypatch.setattr(sys, "argv", ["play", f"hydra.run.dir={tmp_path}", argument])
-    monkeypatch.setattr(Play, "run", None)
+    monkeypatch.setattr(FreePlay, "run", None)
     with pytest.raises(SystemExit) as stopped:
         play.main()
     shown = capsys.readouterr().err

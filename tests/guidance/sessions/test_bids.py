@@ -20,8 +20,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from guidance.forces.conditions import GuidanceOutput
-from guidance.sessions.bids import NOT_LABELS, TRIALS, Records
-from guidance.sessions.recording import RESULTS, UNSCORED
+from guidance.sessions.bids import TRIALS, Records
+from guidance.sessions.game import RESULTS, UNSCORED
+from guidance.sessions.participant import NOT_LABELS
 from guidance.simulated_users.ratings import RATINGS
 from guidance.statistics.report import gather, merge
 from guidance.statistics.tests import CONDITIONS
@@ -379,11 +380,11 @@ def test_consent_comes_first_and_is_to_one_text(records):
 )
 def test_a_game_is_played_once(records, name, position, message):
     person, recording = begun(records, name="oahg", position=1)
-    with pytest.raises(ValueError, match="this game is on"):
+    with pytest.raises(ValueError, match="this game is running"):
         person.begin_game("uphg", 2, COLUMNS)
-    with pytest.raises(ValueError, match="this game is on"):
+    with pytest.raises(ValueError, match="this game is running"):
         records.participant("P01")
-    with pytest.raises(ValueError, match="this game is on"):
+    with pytest.raises(ValueError, match="this game is running"):
         records.withdraw("P01")
     recording.finish(results_of("P01", "oahg"))
     with pytest.raises(ValueError, match=message):
@@ -421,7 +422,7 @@ def test_results_are_what_trials_have(records):
     assert game.results["win_rate"] == float(np.float32(0.1)) and game.results["rounds"] == 9
     assert person.games == {UNSCORED: game} and game.facts == {"device": "none"}
     for late in (lambda: recording.finish(good), lambda: recording.append([{"t": 1.0}])):
-        with pytest.raises(ValueError, match="the game unscored is not on"):
+        with pytest.raises(ValueError, match="the game unscored is not running"):
             late()
 
 
@@ -459,7 +460,7 @@ def test_an_interrupted_game_is_kept_and_counts_for_nothing(records, folder):
         recording.append([{"t": float(attempt)}])
         if attempt == 1:
             recording.close()  # as after an exception: the same process begins again
-            records.set_on(recording)
+            records.set_active(recording)
         else:  # as after a crash
             records.close()
             records = Records(folder, FACTS)

@@ -1,7 +1,5 @@
 """What a session says on the Lab Streaming Layer arrives, in order and whole, at somebody who listens."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -23,7 +21,7 @@ def listener(name: str) -> "pylsl.StreamInlet":
 def test_markers_and_ticks_arrive():
     streams = open_streams()
     markers, ticks = listener(MARKERS), listener(TICKS)
-    time.sleep(0.2)
+    assert streams._markers.wait_for_consumers(10) and streams._ticks.wait_for_consumers(10)
     rows = [{name: float(i + tick) for i, name in enumerate(COLUMNS)} for tick in range(3)]
     rows[1]["w_sim"] = float("nan")
     streams.mark("begin oahg_ut")

@@ -1,0 +1,184 @@
+"""Free play at a window: a person switches between guidances and opponents, and every stretch of play is recorded."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import torch
+from tensordict import TensorDict
+from torch import Tensor
+
+from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.league.league import League
+from airhockey_marl.players.inference import greedy_player
+from guidance.display.scene import WEIGHT_LABELS
+from guidance.forces.conditions import ADAPTED, Condition
+from guidance.haptics.screen import Quit
+from guidance.haptics.seat import RealTimePlayer
+from guidance.sessions.game import Game
+from guidance.sessions.recording import Recording
+from guidance.study.games import GameRunner, MetricsRecorder
+from guidance.study.models import Models
+from guidance.study.tick_log import COLUMNS, TickLog, demonstration, scene_facts, tapped_guidance
+
+MIN_DEMONSTRATION_TICKS = 500  # 10 s; half a minute of play adapts as well as eight minutes
+NOTE_SECONDS = 3.0  # s for which a note is shown
+OPPONENT_STEP = 5  # generations between two opponents of page up and page down
+
+
+class FreePlay:
+    """An endless game, recorded in one file per stretch under one condition and against one opponent.
+
+    Args:
+        conditions: key -> condition.
+        models: the optimal action model and the user model.
+        opponents: league of possible opponents.
+        opponent: generation of the first opponent.
+        lookahead_seconds: s, prediction horizon of the guidance.
+        round_seconds: s, maximum duration of a round.
+        player: the person at the device.
+        serves: (1,) uint64, random number state of the serves.
+        folder: of the recordings.
+    """
+
+    def __init__(
+        self,
+        conditions: dict[str, Condition],
+        models: Models,
+        opponents: League,
+        opponent: int,
+        lookahead_seconds: float,
+        round_seconds: float,
+        player: RealTimePlayer,
+        serves: np.ndarray,
+        folder: Path,
+    ) -> None:
+        self.conditions, self.models, self.opponents, self.player = conditions, models, opponents, player
+        self.lookahead_seconds, self.round_seconds, self.folder = lookahead_seconds, round_seconds, folder
+        self.opponent = range(len(opponents))[opponent]
+        self.runner = GameRunner(player, greedy_player(opponents.player(self.opponent)), TableSpec(), serves)
+        self.adapted: TensorDict | None = None
+        self.demonstrations: list[tuple[Tensor, Tensor]] = []
+        self.games: dict[str, Game] = {}
+        self.labels: dict[str, str] = {}
+        self.ticks, self._note_seconds = 0, 0.0
+
+    def run(self, condition: Condition, seconds: float | None = None) -> None:
+        """Play, starting with a condition, until the person quits or `seconds` were played."""
+        self._begin(condition)
+        ticks = None if seconds is None else max(1, round(seconds / self.log.tick_seconds))
+        try:
+            self.runner.new_games()
+            while ticks is None or self.ticks < ticks:
+                self.tick()
+        except Quit:
+            pass
+        finally:
+            self._end()
+
+    @torch.no_grad()
+    def tick(self) -> None:
+        """Play one tick, then process the keys pressed during it."""
+        tick = self.runner.tick(self.forces)
+        self.metrics.add(tick)
+        self.ticks += 1
+        self._round_ticks += 1
+        out_of_time = self._round_ticks * self.log.tick_seconds >= self.round_seconds
+        is_end = (tick.goals != 0) | out_of_time
+        self._rounds += int(is_end[0])
+        self._show(self.log(tick, True, bool(is_end[0])))
+        pressed = self.player.take_keys()
+        choices = [key for key in pressed if key in self.conditions]
+        for key in [key for key in pressed if key not in choices[:-1]]:  # of several choices the last
+            self.press(key)
+        if is_end[0]:
+            self._round_ticks = 0
+            self._save()
+            self._note("out of time" if out_of_time else "goal!" if tick.goals[0] > 0 else "goal against you", 0.0)
+            self.runner.new_rounds(is_end)
+
+    def press(self, key: str) -> None:
+        """Process a key."""
+        if key in self.conditions:
+            self.choose(self.conditions[key])
+        elif key == "a":
+            self.adapt()
+        elif key in ("page up", "page down"):
+            self.change_opponent(self.opponent + (OPPONENT_STEP if key == "page up" else -OPPONENT_STEP))
+
+    def choose(self, condition: Condition) -> None:
+        """Continue under another condition."""
+        if ADAPTED in condition.guidance.models() and self.adapted is None:
+            self._note(f"{condition.label} needs a model of you: play without guidance (1), then press a")
+        elif condition.name != self.condition.name:
+            self._end()
+            self._begin(condition)
+
+    def change_opponent(self, opponent: int) -> None:
+        """Continue against another generation, clipped to the existing ones."""
+        opponent = min(max(opponent, 0), len(self.opponents) - 1)
+        if opponent != self.opponent:
+            self._end()
+            self.opponent, self.runner.opponent = opponent, greedy_player(self.opponents.player(opponent))
+            self._begin(self.condition)
+        self._note(f"generation {opponent} of {len(self.opponents) - 1}")
+
+    def adapt(self) -> None:
+        """User adaptation (UA, Eq. 1): adapt the user model to all play of the person without guidance."""
+        self._save()
+        ticks = sum(len(observation) for observation, _ in self.demonstrations)
+        if ticks < MIN_DEMONSTRATION_TICKS:
+            missing = (MIN_DEMONSTRATION_TICKS - ticks) * self.log.tick_seconds
+            self._note(f"play without guidance (1) for {missing:.0f} s more")
+            return
+        self.adapted = self.models.adapted_to([tuple(map(torch.cat, zip(*self.demonstrations, strict=True)))])
+        condition = self.condition
+        self._end()
+        self._begin(condition)
+        self._note(f"the user model is yours now, from {ticks * self.log.tick_seconds:.0f} s of play")
+
+    def summary(self) -> pd.DataFrame:
+        """The results, a row per stretch."""
+        rows = {self.labels[name]: game.results for name, game in self.games.items()}
+        return pd.DataFrame.from_dict(rows, orient="index")
+
+    def _is_unguided(self) -> bool:
+        return not self.condition.guidance.models()
+
+    def _begin(self, condition: Condition) -> None:
+        self.condition, table = condition, self.runner.tables.table
+        self.forces, tap = tapped_guidance(condition, self.models, self.adapted, self.lookahead_seconds)
+        self.log = TickLog(tap, table.tick, self.player.hand)
+        self.metrics = MetricsRecorder(self.runner)
+        self._round_ticks, self._rounds, number = 0, 0, len(self.games) + 1
+        name = f"{number:02d}{condition.name.replace('_', '')}"
+        self.labels[name] = f"{number:02d} {condition.label}, generation {self.opponent}"
+        facts = scene_facts(condition, "you", f"generation {self.opponent}", self.adapted is not None)
+        stem = self.folder / f"task-airhockey_acq-{name}"
+        self.recording = Recording.begin(stem, name, number, COLUMNS, facts, self.games)
+        self.player.display.title = f"{condition.label}, generation {self.opponent}"
+
+    def _save(self) -> None:
+        rows = self.log.take()
+        self.recording.append(rows)
+        if rows and self._is_unguided():
+            self.demonstrations.append(demonstration(pd.DataFrame(rows)))
+
+    def _end(self) -> None:
+        """Save the results of the current stretch."""
+        self._save()
+        results = {**self.metrics.results(), **self.metrics.weights()}
+        numbers = {name: float(values[0]) for name, values in results.items()}
+        self.recording.finish(numbers | {"rounds": self._rounds, "duration_s": self.log.time})
+
+    def _show(self, row: dict[str, float]) -> None:
+        display, tap = self.player.display, self.log.overheard
+        display.optimal, display.predicted = tap.optimal, tap.predicted
+        display.weights = {text: row[name] for name, text in WEIGHT_LABELS.items() if row[name] == row[name]}
+        display.won, display.lost, display.seconds = int(row["won"]), int(row["lost"]), row["time_s"]
+        self._note_seconds -= self.log.tick_seconds
+        if self._note_seconds <= 0:
+            display.note = ""
+
+    def _note(self, note: str, seconds: float = NOTE_SECONDS) -> None:
+        self.player.display.note, self._note_seconds = note, seconds

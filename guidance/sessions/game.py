@@ -1,0 +1,121 @@
+"""A complete game of one person: its table with a row per tick, and its description with results and ratings."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from numbers import Integral
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from guidance.forces.conditions import GuidanceOutput
+from guidance.sessions.json_files import load_json, save_json
+from guidance.simulated_users.ratings import RATINGS
+from guidance.statistics.tests import METRICS
+
+UNSCORED = "unscored"  # name of the game without guidance for user adaptation
+OBJECTIVE = tuple(name for name, metric in METRICS.items() if metric.kind == "objective")
+RESULTS = (
+    *OBJECTIVE,
+    "rounds",
+    "duration_s",
+    *(f"{w}_{part}" for w in GuidanceOutput._fields[1:] for part in ("mean", "sd")),
+)
+SCALE = range(1, 8)  # of the ratings
+MISSING = "n/a"  # as in BIDS
+PARTIAL, BEHAVIOR = "_desc-partial_beh", "_beh"  # endings of the names of a game's files
+
+
+@dataclass(frozen=True)
+class Game:
+    """A complete game.
+
+    Attributes:
+        name: of its condition, or `UNSCORED`.
+        position: in the person's order, from 1; 0 is the unscored game.
+        results: name in `RESULTS` -> value; NaN where undefined.
+        ratings: name in `guidance.simulated_users.ratings.RATINGS` -> 1 to 7; None before the rating.
+        interview: the experimenter's note on what the person said about the game.
+        facts: further information from the start and the end of the game.
+        description: the file with all of these.
+    """
+
+    name: str
+    position: int
+    results: dict[str, float]
+    ratings: dict[str, int] | None
+    interview: str
+    facts: dict[str, Any]
+    description: Path
+
+    @classmethod
+    def load(cls, description: Path) -> "Game":
+        """Load the game of a final `..._beh.json`.
+
+        Raises:
+            ValueError: `Recording.finish` did not write it, or its table is missing; the message names the file.
+        """
+        content = load_json(description)
+        try:
+            results = {name: content["Results"][name] for name in RESULTS}
+            ratings = content["Ratings"] and {name: content["Ratings"][name] for name in RATINGS}
+            name, position, interview = content["Condition"], content["Position"], content["Interview"]
+            facts = content["Facts"]
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"{description} does not describe a game: it lacks {error}") from error
+        results = {result: math.nan if value is None else value for result, value in results.items()}
+        game = cls(name, position, results, ratings, interview, facts, description)
+        if not game.file.is_file():
+            raise ValueError(f"{description} describes a table that is not there")
+        return game
+
+    @property
+    def file(self) -> Path:
+        """The table of its ticks."""
+        final = self.description.with_suffix(".tsv")
+        partial = final.with_name(final.name.removesuffix(BEHAVIOR + ".tsv") + PARTIAL + ".tsv")
+        return partial if partial.is_file() else final  # it is renamed soon, see `recover_games`
+
+    def ticks(self) -> pd.DataFrame:
+        """The table, a row per tick; floats are bit-identical to the recorded ones."""
+        return pd.read_csv(
+            self.file, sep="\t", na_values=[MISSING], keep_default_na=False, float_precision="round_trip"
+        )
+
+    def rate(self, ratings: Mapping[str, int], interview: str) -> "Game":
+        """Save ratings with the game, and return it with them. The same ratings may be saved again with an interview.
+
+        Raises:
+            ValueError: items other than `RATINGS`, a value that is not a whole number from 1 to 7, the unscored game,
+                or a game that has other ratings.
+            OSError: they could not be saved.
+        """
+        if self.name == UNSCORED:
+            raise ValueError(f"ratings of {self.name}: this game is not rated")
+        if set(ratings) != set(RATINGS):
+            raise ValueError(f"ratings of {self.name} = {', '.join(map(str, ratings))} must be {', '.join(RATINGS)}")
+        for name, value in ratings.items():
+            if not isinstance(value, Integral) or isinstance(value, bool) or value not in SCALE:
+                raise ValueError(f"ratings.{name} = {value!r} must be a whole number from {SCALE[0]} to {SCALE[-1]}")
+        ratings = {name: int(ratings[name]) for name in RATINGS}
+        if self.ratings is not None and (self.ratings != ratings or self.interview not in ("", interview)):
+            raise ValueError(f"ratings of {self.name}: there are some already, {self.ratings}")
+        save_json(self.description, load_json(self.description) | {"Ratings": ratings, "Interview": interview})
+        return Game.load(self.description)
+
+
+def load_games(folder: Path) -> dict[str, Game]:
+    """The complete games in a folder after `recover_games`: name -> game, ordered by position.
+
+    Raises:
+        ValueError: a file was changed; the message names it.
+    """
+    files = (file for file in folder.glob(f"*{BEHAVIOR}.json") if "_desc-" not in file.name)
+    games = sorted(map(Game.load, files), key=lambda game: game.position)
+    return {game.name: game for game in games}
+
+
+def game_file(stem: Path, ending: str, suffix: str) -> Path:
+    """The path of a game's file; `ending` is `PARTIAL`, `BEHAVIOR` or that of an interrupted game."""
+    return stem.with_name(stem.name + ending + suffix)
