@@ -1,4 +1,4 @@
-"""The window, on a screen that nobody sees: what is on it, and what a key does. Pixels are looked at."""
+"""The window on a virtual screen: its pixels and its keys."""
 
 from math import atan2, hypot
 
@@ -105,7 +105,7 @@ def test_an_experiment_does_not_show_what_is_to_be_felt(window):
     assert np.array_equal(shown(window, now), shown(window, without))
 
 
-def test_a_serve_leaves_no_trail_across_the_table(window):
+def test_a_serve_leaves_no_trail(window):
     window.frame(moment())
     served = STATE.copy()
     served[8:10] = -0.4, -0.4
@@ -114,7 +114,7 @@ def test_a_serve_leaves_no_trail_across_the_table(window):
     assert color_at(window, picture, -0.1, -0.05) == FELT
 
 
-def test_targets_are_shown_when_asked_for_and_only_where_they_may_be(window):
+def test_predictions_are_shown_by_a_key_unless_in_an_experiment(window):
     targets = {
         name: Prediction(torch.tensor([[x, -0.5]]), torch.full((1, 2), 0.2))
         for name, x in (("optimal", -0.4), ("predicted", 0.5))
@@ -152,7 +152,7 @@ def _arena(size: int) -> Arena:
     return ARENAS[size]
 
 
-def test_the_pointer_is_told(window):
+def test_the_pointer_handler_gets_the_action(window):
     told = []
     window.on_pointer = told.append
     x, y = window.arena.of_action(np.array([0.5, -0.25]))
@@ -172,7 +172,7 @@ def test_keys_come_once_and_the_window_keeps_its_own(window):
     assert window.frame(moment()) == ["space"]
 
 
-def test_who_turns_to_another_window_is_not_attentive(window):
+def test_another_window_takes_the_focus(window):
     for event, attentive in ((pygame.WINDOWFOCUSLOST, False), (pygame.WINDOWFOCUSGAINED, True)):
         pygame.event.post(pygame.event.Event(event))
         window.poll()
@@ -191,7 +191,7 @@ def test_closing_and_escape_leave(window, event):
     assert window.frame(moment()) == []  # and leave nothing behind
 
 
-def test_a_gamepad_that_is_unplugged_is_told(window):
+def test_a_disconnected_gamepad_reaches_its_handler(window):
     gone = []
     window.on_disconnect = gone.append
     pygame.event.post(pygame.event.Event(pygame.JOYDEVICEREMOVED, instance_id=7))

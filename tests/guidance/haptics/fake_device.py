@@ -1,4 +1,4 @@
-"""A device that another process can open: it writes down what is done to it, a line each, and fails on request."""
+"""A device that another process can open: it logs its calls, a line each, and fails on request."""
 
 import os
 import sys
@@ -7,7 +7,7 @@ from pathlib import Path
 
 
 class Refused(OSError):
-    """What it raises."""
+    """An error of the device."""
 
 
 class Still:

@@ -138,7 +138,7 @@ def test_relaxing_and_closing_a_mouse_end_the_force():
         assert mouse.position == pytest.approx((0.0, 0.0), abs=1e-6)
 
 
-def test_what_is_no_place_or_speed_is_refused():
+def test_invalid_positions_and_speeds_are_refused():
     with pytest.raises(ValueError, match=r"^y = nan must be a number"):
         Mouse().point(0.0, math.nan)
     with pytest.raises(ValueError, match=r"^max_speed = 0 must be a number above 0"):
@@ -230,7 +230,7 @@ def test_a_rumble_is_renewed_before_it_ends_by_itself():
 
 
 @pytest.mark.parametrize("how", ["event", "quit", "error"])
-def test_a_pad_that_is_gone_is_not_held(how):
+def test_a_disconnected_pad_is_not_held(how):
     pad, device = gamepad()
     pad.axes = [1.0, 0.0]
     pass_time(device, 0.2)
@@ -366,7 +366,7 @@ def test_relaxing_ends_the_force_on_the_person():
     assert device.position == tuple(users.hand[0])
 
 
-def test_what_a_simulated_person_cannot_be_given_is_refused():
+def test_invalid_arguments_of_the_simulated_device_are_refused():
     with pytest.raises(ValueError, match=r"^users: n = 2 must be 1"):
         Simulated(SimulatedUsers(sample_people(2, 0), personal_streams(2, 0)))
     with pytest.raises(ValueError, match=r"^table.tick = 0.0205 must be a whole number of ms"):

@@ -69,7 +69,7 @@ limits = st.builds(
 
 
 @given(limits, st.lists(steps, max_size=40))
-def test_whatever_is_asked_for_the_force_is_bounded(limits, steps):
+def test_the_force_is_bounded_for_any_request(limits, steps):
     safety, before = Safety(limits), (0.0, 0.0)
     for force, age, position, velocity, held, event in steps:
         if event == "release":
@@ -112,7 +112,7 @@ def test_a_hundred_and_fifty_thousand_random_steps():
 
 
 @given(anything, st.floats(0, 1e308))
-def test_within_never_exceeds_by_a_rounding(vector, most):
+def test_clip_norm_never_exceeds_by_a_rounding(vector, most):
     x, y = clip_norm(*vector, most)
     assert math.hypot(x, y) <= most
     if math.isfinite(vector[0]) and math.isfinite(vector[1]) and math.hypot(*vector) <= most:
@@ -120,7 +120,7 @@ def test_within_never_exceeds_by_a_rounding(vector, most):
 
 
 @given(st.tuples(st.floats(-1.7e308, 1.7e308), st.floats(-1.7e308, 1.7e308)), st.floats(1e-3, 50))
-def test_within_keeps_the_direction(vector, most):
+def test_clip_norm_keeps_the_direction(vector, most):
     x, y = clip_norm(*vector, most)
     size = max(map(abs, vector)) or 1.0
     towards = vector[0] / size, vector[1] / size
@@ -295,14 +295,14 @@ def test_a_device_that_fails_is_a_fault_until_a_step_in_which_it_does_not():
     assert ask(safety, (3.0, 0.0)) == pytest.approx((0.15, 0.0))  # from nothing
 
 
-def test_the_first_fault_is_the_one_that_is_told():
+def test_the_first_fault_is_reported():
     safety = Safety(AT_ONCE)
     ask(safety, (1.0, 0.0), position=(1.0, 0.0))
     ask(safety, (1.0, 0.0), velocity=(9.0, 0.0))
     assert "further" in safety.fault
 
 
-def test_releasing_what_is_no_fault_changes_nothing():
+def test_a_release_without_a_fault_changes_nothing():
     safety = Safety(SafetyLimits(soft_start=0.5))
     run(safety, (3.0, 0.0), 600)
     assert safety.release()

@@ -1,4 +1,4 @@
-"""The seat in real time: ticks are punctual, forces arrive, a pause is one. Time is a clock that the tests own."""
+"""The real-time player on a simulated clock: punctual ticks, forces, pauses and faults."""
 
 import numpy as np
 import pytest
@@ -15,7 +15,7 @@ STATE, FORCE = np.arange(12.0)[None], np.array([[1.5, -0.5]])
 
 
 class Hand:
-    """Writes down what it is told, and when."""
+    """A hand that records its calls and their times."""
 
     def __init__(self, clock: SimulatedClock) -> None:
         self.clock, self.position, self.force, self.fault = clock, (0.03, -0.06), (0.0, 0.0), None
@@ -36,7 +36,7 @@ class Hand:
 
 
 class Screen:
-    """Shows pictures that take a while, and presses keys at their times."""
+    """A screen whose frames take some time, and whose keys are pressed at given times."""
 
     def __init__(self, clock: SimulatedClock, cost: float = 0.0, keys: dict[float, str] | None = None) -> None:
         self.clock, self.frame_cost, self.keys = clock, cost, dict(keys or {})
@@ -57,13 +57,13 @@ class Screen:
         return due
 
 
-def seated(cost: float = 0.0, keys: dict[float, str] | None = None, dark: bool = False) -> RealTimePlayer:
+def make_player(cost: float = 0.0, keys: dict[float, str] | None = None, dark: bool = False) -> RealTimePlayer:
     clock = SimulatedClock()
     return RealTimePlayer(Hand(clock), NullDisplay() if dark else Screen(clock, cost, keys), clock, 0.02, breath=0.0)
 
 
 def test_fifty_ticks_are_a_second_in_which_the_hand_lives_a_thousand_milliseconds():
-    seat = seated()
+    seat = make_player()
     for _ in range(50):
         action = seat.step(STATE, FORCE)
     assert seat.clock.now() == pytest.approx(1.0, abs=1e-9)
@@ -73,14 +73,14 @@ def test_fifty_ticks_are_a_second_in_which_the_hand_lives_a_thousand_millisecond
 
 
 def test_a_hand_beyond_its_reach_acts_at_the_edge():
-    seat = seated(dark=True)
+    seat = make_player(dark=True)
     seat.hand.position = (0.2, -0.2)
     assert np.array_equal(seat.step(STATE, FORCE), [[1.0, -1.0]])
 
 
 @pytest.mark.parametrize("cost", [0.002, 0.008, 0.012])
 def test_no_picture_makes_a_tick_late(cost):
-    seat = seated(cost)
+    seat = make_player(cost)
     for _ in range(100):
         seat.step(STATE, FORCE)
     times = np.array([time for time, _, _ in seat.hand.pushed])
@@ -89,15 +89,15 @@ def test_no_picture_makes_a_tick_late(cost):
 
 
 def test_a_screen_that_is_too_slow_for_any_tick_still_shows_something():
-    seat = seated(cost=0.03)
+    seat = make_player(cost=0.03)
     for _ in range(200):
         seat.step(STATE, FORCE)
     apart = np.diff(seat.screen.frames)
     assert len(apart) > 20 and apart.max() < 0.2
 
 
-def test_time_that_was_lost_is_not_made_up_for():
-    seat = seated(dark=True)
+def test_a_late_tick_is_counted_and_skipped():
+    seat = make_player(dark=True)
     seat.step(STATE, FORCE)
     seat.clock.wait(0.5)
     seat.step(STATE, FORCE)
@@ -108,7 +108,7 @@ def test_time_that_was_lost_is_not_made_up_for():
 
 
 def test_space_pauses_without_a_force_until_space():
-    seat = seated(keys={0.05: "space", 3.0: "space"})
+    seat = make_player(keys={0.05: "space", 3.0: "space"})
     for _ in range(10):
         seat.step(STATE, FORCE)
     without = [time for time, force, _ in seat.hand.pushed if force == (0.0, 0.0)]
@@ -140,8 +140,8 @@ def test_after_a_pause_and_in_a_new_game_a_force_starts_softly():
     assert strength(2) > 0.9 * whole  # within a game the hand stays where it is
 
 
-def test_what_the_hand_does_in_a_pause_is_no_action():
-    seat = seated(keys={0.05: "space", 3.0: "space"})
+def test_movements_in_a_pause_are_no_action():
+    seat = make_player(keys={0.05: "space", 3.0: "space"})
     frame = seat.screen.frame
 
     def move(moment) -> list[str]:
@@ -156,22 +156,22 @@ def test_what_the_hand_does_in_a_pause_is_no_action():
     assert np.allclose(seat.action, actions[-1])  # from which the next tick begins
 
 
-def test_space_makes_a_pause_of_a_breath():
+def test_space_turns_a_rest_into_a_pause():
     clock = SimulatedClock()
     seat = RealTimePlayer(Hand(clock), Screen(clock, keys={0.3: "space", 5.0: "space"}), clock, 0.02, breath=1.0)
     seat.new_round(np.array([True]))
     assert 5.0 <= clock.now() < 5.1 and seat.pauses == 1
 
 
-def test_who_does_not_hold_the_device_is_told():
-    seat = seated()
+def test_a_note_asks_to_take_hold_of_the_device():
+    seat = make_player()
     seat.hand.is_held = False
     seat.step(STATE, FORCE)
     assert seat.screen.notes[-1] == "take hold of the device"
 
 
-def test_who_turns_away_gets_no_force_and_comes_back_by_space():
-    seat = seated(keys={2.0: "space"})
+def test_without_focus_the_game_pauses_without_a_force_until_space():
+    seat = make_player(keys={2.0: "space"})
     seat.screen.has_focus = False
     frame = seat.screen.frame
 
@@ -186,16 +186,16 @@ def test_who_turns_away_gets_no_force_and_comes_back_by_space():
     assert not any(any(force) for time, force, _ in seat.hand.pushed if 0.02 < time < 2.0)
 
 
-def test_leaving_leaves_from_the_game_and_from_a_pause():
+def test_escape_quits_a_game_and_a_pause():
     for keys in ({0.1: "escape"}, {0.1: "space", 0.5: "escape"}):
-        seat = seated(keys=keys)
+        seat = make_player(keys=keys)
         with pytest.raises(Quit):
             for _ in range(100):
                 seat.step(STATE, FORCE)
 
 
-def test_after_a_fault_the_game_waits_until_it_is_released_and_somebody_is_ready():
-    seat = seated(keys={0.5: "space", 1.0: "x", 1.5: "r", 2.0: "space"})
+def test_after_a_fault_the_game_waits_for_its_release_and_for_space():
+    seat = make_player(keys={0.5: "space", 1.0: "x", 1.5: "r", 2.0: "space"})
     seat.hand.fault = "the hand moves at 9 m/s"
     seat.step(STATE, FORCE)
     assert 2.0 <= seat.clock.now() < 2.1 and seat.hand.released
@@ -207,7 +207,7 @@ def test_after_a_fault_the_game_waits_until_it_is_released_and_somebody_is_ready
     assert not seat.hand.released and seat.clock.now() < 2.2
 
 
-def test_a_fault_before_a_round_outlasts_the_breath():
+def test_a_fault_before_a_round_prolongs_the_rest():
     clock = SimulatedClock()
     seat = RealTimePlayer(Hand(clock), Screen(clock, keys={3.0: "r", 4.0: "space"}), clock, 0.02, breath=1.0)
     seat.hand.fault = "the hand is too far out"
@@ -216,13 +216,13 @@ def test_a_fault_before_a_round_outlasts_the_breath():
 
 
 def test_without_a_screen_a_fault_is_an_error():
-    seat = seated(dark=True)
+    seat = make_player(dark=True)
     seat.hand.fault = "the device failed"
     with pytest.raises(RuntimeError, match="no force: the device failed"):
         seat.step(STATE, FORCE)
 
 
-def test_a_breath_between_rounds():
+def test_there_is_a_rest_between_rounds():
     clock = SimulatedClock()
     seat = RealTimePlayer(Hand(clock), Screen(clock), clock, 0.02, breath=1.0)
     seat.step(STATE, FORCE)

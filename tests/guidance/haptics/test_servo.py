@@ -1,4 +1,4 @@
-"""The servo: its steps in a device's own time, and its process in real time, whatever becomes of either end."""
+"""The servo: its steps in simulated time, and its process in real time, also when either process dies."""
 
 import math
 import os
@@ -31,7 +31,7 @@ SEEN = np.zeros(12)
 
 
 class Hand:
-    """A virtual device whose hand a test moves, and that writes down its forces."""
+    """A virtual device whose hand a test moves, and which records its forces."""
 
     def __init__(self):
         self.position = self.velocity = (0.0, 0.0)
@@ -69,7 +69,7 @@ class Unreadable(Hand):
         pass
 
 
-def inline(limits=AT_ONCE, device=None):
+def in_process(limits=AT_ONCE, device=None):
     device = device or Hand()
     return device, InProcessServo(device, limits)
 
@@ -78,7 +78,7 @@ def inline(limits=AT_ONCE, device=None):
 
 
 def test_the_force_goes_in_a_line_from_the_last_to_the_newest_in_a_tick():
-    device, servo = inline()
+    device, servo = in_process()
     servo.push((1.0, -2.0))
     servo.advance(20, SEEN)
     servo.push((2.0, 0.0))
@@ -92,7 +92,7 @@ def test_the_force_goes_in_a_line_from_the_last_to_the_newest_in_a_tick():
 
 
 def test_a_force_that_comes_early_goes_on_from_where_the_line_is():
-    device, servo = inline()
+    device, servo = in_process()
     servo.push((2.0, 0.0))
     servo.advance(10, SEEN)
     servo.push((0.0, 0.0))
@@ -101,7 +101,7 @@ def test_a_force_that_comes_early_goes_on_from_where_the_line_is():
 
 
 def test_the_force_is_held_until_it_is_stale_and_then_ramps_down():
-    device, servo = inline(QUICK)
+    device, servo = in_process(QUICK)
     servo.push((3.0, 0.0))
     servo.advance(100, SEEN)
     forces = [x for x, _ in device.forces[1:]]
@@ -111,15 +111,15 @@ def test_the_force_is_held_until_it_is_stale_and_then_ramps_down():
     assert servo.fault is None
 
 
-def test_no_force_before_one_is_asked_for():
-    device, servo = inline()
+def test_there_is_no_force_before_a_request():
+    device, servo = in_process()
     servo.advance(100, SEEN)
     assert device.forces[1:] == [(0.0, 0.0)] * 100
 
 
 @pytest.mark.parametrize("bad", [(math.nan, 1.0), (1.0, math.inf), (-math.inf, math.nan)])
-def test_a_force_that_is_no_number_is_none_and_is_forgotten(bad):
-    _, servo = inline()
+def test_a_force_that_is_not_finite_is_zero_and_forgotten(bad):
+    _, servo = in_process()
     servo.push((1.0, 1.0))
     servo.advance(20, SEEN)
     servo.push(bad)
@@ -131,7 +131,7 @@ def test_a_force_that_is_no_number_is_none_and_is_forgotten(bad):
 
 
 def test_a_huge_force_is_clipped_before_the_line_is_drawn():
-    device, servo = inline()
+    device, servo = in_process()
     for sign in (1.7e308, -1.7e308):
         servo.push((sign, 0.0))
         servo.advance(20, SEEN)
@@ -140,7 +140,7 @@ def test_a_huge_force_is_clipped_before_the_line_is_drawn():
 
 @pytest.mark.parametrize("who", ["device", "caller"])
 def test_either_dead_mans_switch_ends_the_force(who):
-    device, servo = inline(QUICK)
+    device, servo = in_process(QUICK)
     for _ in range(5):
         servo.push((3.0, 0.0))
         servo.advance(20, SEEN)
@@ -154,7 +154,7 @@ def test_either_dead_mans_switch_ends_the_force(who):
 
 
 def test_a_fault_relaxes_the_device_until_it_is_released():
-    device, servo = inline()
+    device, servo = in_process()
     servo.push((3.0, 0.0))
     servo.advance(20, SEEN)
     device.position = (1.0, 0.0)
@@ -175,7 +175,7 @@ def test_a_fault_relaxes_the_device_until_it_is_released():
     [("set", "the device failed: no answer from the motor"), ("read", "the device failed: Refused")],
 )
 def test_a_device_that_fails_is_a_fault_and_no_exception(broken, words):
-    device, servo = inline(device=Unreadable())
+    device, servo = in_process(device=Unreadable())
     servo.push((3.0, 0.0))
     servo.advance(20, SEEN)
     device.broken = broken
@@ -195,8 +195,8 @@ def test_a_device_that_is_broken_from_the_start_is_a_fault():
     assert servo.fault == "the device failed: no answer at all"
 
 
-def test_closing_inline_closes_the_device_once():
-    device, servo = inline()
+def test_closing_in_process_closes_the_device_once():
+    device, servo = in_process()
     servo.push((3.0, 0.0))
     servo.advance(20, SEEN)
     servo.close()
@@ -209,10 +209,10 @@ def test_closing_inline_closes_the_device_once():
 
 def test_a_force_of_three_numbers_is_refused():
     with pytest.raises(ValueError, match=r"^force of 3 numbers must be of 2"):
-        inline()[1].push((1.0, 2.0, 3.0))
+        in_process()[1].push((1.0, 2.0, 3.0))
 
 
-def test_inline_repeats_itself_to_the_last_bit():
+def test_the_servo_in_process_is_deterministic():
     def play(device):
         servo, rng, trail = InProcessServo(device, SafetyLimits()), np.random.default_rng(3), []
         for _ in range(60):
@@ -234,8 +234,8 @@ def test_inline_repeats_itself_to_the_last_bit():
         assert np.ptp(first, axis=0).min() > 0
 
 
-def test_inline_hands_the_state_and_the_time_on():
-    device, servo = inline()
+def test_state_and_time_reach_the_virtual_device():
+    device, servo = in_process()
     servo.advance(7, state := np.arange(12.0))
     assert device.passed == pytest.approx(0.007) and device.state is state
 
@@ -324,7 +324,7 @@ def forces(log):
 
 
 def ended_well(log):
-    """The device was relaxed and then closed, once, and nothing was done to it afterwards."""
+    """Whether the device was relaxed and then closed, once, as its last calls."""
     done = lines(log)
     return done[-2:] == ["relax", "close"] and done.count("close") == 1
 
@@ -406,7 +406,7 @@ def test_vectors_are_never_torn(begin, log):
     assert (done[:, 0] == done[:, 1]).all()
 
 
-def test_when_nobody_pushes_any_more_the_force_ramps_down(begin, log):
+def test_the_force_ramps_down_when_requests_stop(begin, log):
     servo = begin(QUICK)
     assert feed(servo, (3.0, 0.0), feels(servo, 3.0, 0.0))
     assert wait_for(feels(servo, 0.0, 0.0))
@@ -452,7 +452,7 @@ def test_a_hand_that_is_out_of_the_workspace_keeps_the_fault(begin, tmp_path):
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
-def test_a_process_that_is_told_to_end_leaves_no_force(begin, log, number):
+def test_a_process_that_gets_a_signal_leaves_no_force(begin, log, number):
     servo = begin()
     assert feed(servo, (3.0, 0.0), lambda: servo.force[0] > 0 or servo.fault)
     os.kill(child(log), number)

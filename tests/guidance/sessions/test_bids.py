@@ -1,4 +1,4 @@
-"""The records of people: whole games, nobody else's folder, and nothing lost by a kill at any moment."""
+"""The records of people: complete games, one study per folder, and no loss by a kill at any moment."""
 
 import errno
 import hashlib
@@ -275,7 +275,7 @@ def test_places_are_the_smallest_that_are_free(records, folder):
     assert lines[1:] == ["sub-P04\t0", "sub-P05\t1", "sub-P03\t2", "sub-P06\t3"]
 
 
-def test_nothing_is_left_of_who_withdraws(records, folder):
+def test_a_withdrawal_leaves_no_data(records, folder):
     play(records, "P01", NAMES[:3])
     play(records, "Gone", NAMES[:3])
     stale = records.participant("Gone")
@@ -546,7 +546,7 @@ def test_a_disk_that_fails_takes_nothing_and_can_be_mended(records, folder, monk
             pd.testing.assert_frame_equal(game.ticks(), expected.astype({"scored": int}), check_exact=True)
 
 
-def test_a_game_whose_end_failed_halfway_is_whole(records, monkeypatch):
+def test_a_game_whose_end_failed_halfway_is_complete(records, monkeypatch):
     """Its results are there and its table has not its name yet: it is not played again, and others go on."""
     person, recording = begun(records, name="oahg", position=1)
     recording.append([{"t": 1.0}])

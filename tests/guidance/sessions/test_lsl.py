@@ -1,4 +1,4 @@
-"""What a session says on the Lab Streaming Layer arrives, in order and whole, at somebody who listens."""
+"""Markers and ticks of a session arrive at a listener on the Lab Streaming Layer, complete and in order."""
 
 import numpy as np
 import pytest
