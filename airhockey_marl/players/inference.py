@@ -23,7 +23,7 @@ from airhockey_marl.players.players import Player
 
 @njit(cache=True, nogil=True, fastmath={"contract"})
 def _linear(inputs, weights, bias, outputs):
-    """outputs (high,) = inputs (wide,) times weights (wide * high,) + bias (high,), skipping inputs that are zero."""
+    """Write inputs (wide,) times weights (wide * high,) + bias (high,) to outputs (high,), skipping inputs of zero."""
     high = len(outputs)
     for j in range(high):
         outputs[j] = bias[j]
