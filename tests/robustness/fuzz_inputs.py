@@ -112,6 +112,7 @@ class Targets:
         )
         self.tsv = "\t".join(COLUMNS).encode() + b"\n" + b"\t".join(b"0.5" for _ in COLUMNS) + b"\n"
         self.yaml = b"resume: null\nseed: 1\nmaml:\n  block: 3\n  lr: 0.1\npart:\n  force: 3.0\n"
+        self.yaml += b"# a comment, in which damage leaves the settings as they are\n" * 2
 
     def checkpoint(self) -> Checkpoint:
         policy = GaussianPolicy([4])
