@@ -44,7 +44,7 @@ from guidance.study.calibration import (
     threshold,
 )
 from guidance.study.games import Games, no_force, play_games
-from guidance.study.protocol import Protocol, spawn_rng_states
+from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states
 from guidance.study.provenance import load_models
 
 OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has the number of its condition
@@ -77,7 +77,7 @@ def main(cfg: DictConfig) -> None:
         """Each of the nine plays `games` games: rows are person by person."""
         keys = [
             [spawn_rng_states(cfg.seed, [u], trial + g, p) for u in range(len(people)) for g in range(cfg.games)]
-            for p in (0, 1)
+            for p in (RandomStream.USER, RandomStream.TABLE)
         ]
         minds, serves = (np.concatenate(part) for part in keys)
         seated = SimulatedUsers(np.repeat(people, cfg.games), minds, TableSpec(), cfg.users.variant, mentors)

@@ -17,9 +17,8 @@ from pathlib import Path
 
 import torch
 from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import (
     ProgressBar,
     command,
@@ -30,14 +29,15 @@ from airhockey_marl.experiment.command import (
 )
 from airhockey_marl.experiment.files import atomic_write, write_json
 from airhockey_marl.experiment.registry import construct
-from guidance.simulated_users import Population, load_advisors, sample_people
-from guidance.simulated_users.force_response import check_variant
+from guidance.forces.condition_specs import PAPER_LETTERS
+from guidance.simulated_users import Population, sample_people
 from guidance.simulated_users.ratings import RATINGS
-from guidance.statistics.histograms import Histograms
+from guidance.statistics.design import declared_conditions
 from guidance.statistics.report import screen_table, write_report
-from guidance.statistics.tensorboard import log_study
-from guidance.study.protocol import PAPER_LETTERS, Protocol, is_balanced, williams_design
-from guidance.study.provenance import file_hashes, load_conditions, load_models, load_opponent, manifest
+from guidance.statistics.tensorboard import Histograms, log_study
+from guidance.study.protocol import is_balanced, williams_design
+from guidance.study.provenance import file_hashes, manifest
+from guidance.study.setup import load_setup
 from guidance.study.study import run_study
 
 
@@ -49,47 +49,29 @@ def main(cfg: DictConfig) -> None:
         require_counts(cfg, "seed", least=0)
         require_device(cfg)
         require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
-        conditions = load_conditions(cfg)
-        protocol: Protocol = construct(Protocol, cfg.study, "study")
+        setup = load_setup(cfg)
         population: Population = construct(Population, cfg.users.population, "users.population")
-        models = load_models(cfg, cfg.compute)
-        opponent = load_opponent(cfg, cfg.compute)
         people = sample_people(cfg.participants, cfg.seed, population)
-        mentors = load_advisors(cfg.users.mentors)
         for name in cfg.users.withdrawn:
             if name not in RATINGS:
                 raise ValueError(f"users.withdrawn: {name!r} must be one of {', '.join(RATINGS)}")
-        check_variant(cfg.users.variant)
     if not is_balanced(cfg.participants, len(PAPER_LETTERS)):
         rows = len(williams_design(len(PAPER_LETTERS)))
         print(f"note: the order of nine conditions is balanced over multiples of {rows} people", file=sys.stderr)
     torch.set_num_threads(cfg.threads)
-    progress, histograms = ProgressBar(), Histograms(conditions, len(people), cfg.guidance.spring.limit)
-    trials = run_study(
-        people,
-        conditions,
-        models,
-        opponent,
-        cfg.guidance.lookahead,
-        protocol,
-        TableSpec(),
-        cfg.users.variant,
-        mentors,
-        OmegaConf.to_container(cfg.users.scales),
-        seed=cfg.seed,
-        progress=progress,
-        answered=histograms.add,
-    )
+    progress, histograms = ProgressBar(), Histograms(setup.conditions, len(people), cfg.guidance.spring.limit)
+    trials = run_study(people, setup, seed=cfg.seed, progress=progress, on_forces=histograms.add)
     progress.close()
     folder = Path(HydraConfig.get().runtime.output_dir)
     with atomic_write(folder / "trials.csv") as temporary:
         trials.to_csv(temporary, index=False)
     command_line = " ".join(["python -m guidance.evaluate", *HydraConfig.get().overrides.task])
-    facts = manifest(cfg, file_hashes(cfg, models), command_line, time.perf_counter() - began)
+    facts = manifest(cfg, file_hashes(cfg, setup.models), command_line, time.perf_counter() - began)
     write_json(folder / "manifest.json", facts)
     tests = write_report(trials, folder, facts)
-    log_study(cfg, folder, trials, tests, histograms)
-    print(screen_table(trials))
+    declared = declared_conditions(facts["conditions"])
+    log_study(cfg, folder, trials, tests, histograms, declared)
+    print(screen_table(trials, declared=declared))
     print("" if facts["frozen"] else "\nNOT the frozen study: its configuration, models or seed differ; exploratory.")
     print(f"report: {folder / 'report.html'}")
 

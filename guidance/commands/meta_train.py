@@ -123,7 +123,7 @@ def run(
 
     def play(people: np.ndarray, seed: int, what: str) -> Demonstrations:
         told = partial(progress, what)
-        how = {"table": TableSpec(), "variant": cfg.users.variant, "mentors": mentors, "seed": seed}
+        how = {"table": TableSpec(), "variant": cfg.users.variant, "advisors": mentors, "seed": seed}
         return collect_demonstrations(people, opponent, **cfg.demonstrations, **how, progress=told)
 
     data = play(training_people(cfg.seed, population), cfg.seed, "nine people play")

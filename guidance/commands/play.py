@@ -29,7 +29,7 @@ from guidance.haptics.seat import RealTimePlayer
 from guidance.sessions.free_play import FreePlay
 from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
-from guidance.study.protocol import CALIBRATION_GAME, Protocol, spawn_rng_states
+from guidance.study.protocol import CALIBRATION_GAME, Protocol, RandomStream, spawn_rng_states
 from guidance.study.provenance import load_conditions, load_models
 
 KEYS = {  # those that choose a condition come before them
@@ -65,7 +65,10 @@ def main(cfg: DictConfig) -> None:
         opponents = League.load(cfg.models.opponents)
         opponents.player(cfg.opponent)
         limits: SafetyLimits = construct(SafetyLimits, cfg.safety, "safety")
-        minds, serves = (spawn_rng_states(cfg.seed, [0], CALIBRATION_GAME, purpose) for purpose in (0, 1))
+        minds, serves = (
+            spawn_rng_states(cfg.seed, [0], CALIBRATION_GAME, stream)
+            for stream in (RandomStream.USER, RandomStream.TABLE)
+        )
         person = None
         if cfg.device.kind == "simulated":
             check_variant(cfg.users.variant)

@@ -63,7 +63,7 @@ def main(cfg: DictConfig) -> None:
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
     with lock_run_folder(folder, "run"):
         command_line = " ".join(["airhockey replicate", *HydraConfig.get().overrides.task])
-        facts = manifest(cfg, file_hashes(cfg, studies.models), command_line, 0.0)
+        facts = manifest(cfg, file_hashes(cfg, studies.setup.models), command_line, 0.0)
         facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
         write_json(folder / STATE, facts)
         with atomic_write(folder / "factors.csv") as temporary:

@@ -39,7 +39,7 @@ from guidance.simulated_users.validation.motor_tasks import (
 from guidance.simulated_users.validation.playstyles import features, recognized, told_apart
 from guidance.study.demonstrations import collect_demonstrations
 from guidance.study.games import no_force, play_games
-from guidance.study.protocol import Protocol, spawn_rng_states
+from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states
 from guidance.study.provenance import load_opponent
 from guidance.user_model.rounds import hand_speed
 
@@ -161,7 +161,10 @@ def by_skill(
     table, won, stopped = TableSpec(), {}, {}
     for trial, skill in enumerate(SKILLS):
         people = sample_people(number, seed + 300, replace(population, skill_mean=skill, skill_sd=0.0))
-        minds, serves = (spawn_rng_states(seed, range(number), SKILL_TRIAL + trial, purpose) for purpose in (0, 1))
+        minds, serves = (
+            spawn_rng_states(seed, range(number), SKILL_TRIAL + trial, stream)
+            for stream in (RandomStream.USER, RandomStream.TABLE)
+        )
         users = SimulatedUsers(people, minds, table, variant, mentors)
         results = play_games(users, opponent, no_force, GAME, table, serves).results
         won[f"rounds won, skill {skill:+.1f}"] = results["win_rate"]

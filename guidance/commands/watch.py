@@ -34,17 +34,15 @@ from airhockey_marl.experiment.command import (
 )
 from airhockey_marl.experiment.files import atomic_write
 from airhockey_marl.experiment.registry import construct
-from airhockey_marl.players.players import Player
 from guidance.display.film import MIN_WIDTH, FilmInfo, draw_sheet, save_film
-from guidance.forces.conditions import ADAPTED, Condition
+from guidance.forces.conditions import ADAPTED
 from guidance.sessions.replay import load_recorded_part
-from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
+from guidance.simulated_users import Population, SimulatedUsers, sample_people
 from guidance.simulated_users.force_response import check_variant
 from guidance.simulated_users.intention import Intention
 from guidance.study.games import GameRunner, no_force, play_games
-from guidance.study.models import Models
-from guidance.study.protocol import CALIBRATION_GAME, Protocol, spawn_rng_states
-from guidance.study.provenance import load_conditions, load_models, load_opponent
+from guidance.study.protocol import CALIBRATION_GAME, RandomStream, spawn_rng_states
+from guidance.study.setup import StudySetup, load_setup
 from guidance.study.tick_log import TickLog, scene_facts, tapped_guidance
 
 LONGEST = 60  # s: all pictures of a film are in memory together
@@ -86,27 +84,22 @@ def main(cfg: DictConfig) -> None:
 
 def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dict[str, Any]]:
     """Let a simulated person play; the game, and what its film says about it."""
-    table = TableSpec()
     with report_input_errors():
-        condition: Condition = load_conditions(cfg)[0]
-        protocol: Protocol = construct(Protocol, cfg.study, "study")
-        person, mentors = chosen_person(cfg), load_advisors(cfg.users.mentors)
-        models = load_models(cfg)
-        opponent = load_opponent(cfg)
-    adapted = None
+        setup, person = load_setup(cfg), selected_person(cfg)
+    (condition,), adapted = setup.conditions, None
 
-    def seat(game: int) -> tuple[SimulatedUsers, np.ndarray]:
-        """The person, and the table's stream, as in a study's game."""
-        minds, serves = (spawn_rng_states(cfg.seed, [0], game, purpose) for purpose in (0, 1))
-        return SimulatedUsers(person, minds, table, cfg.users.variant, mentors), serves
+    def begin(game: int) -> tuple[SimulatedUsers, np.ndarray]:
+        """The person and the state of the table's random number stream, as in a game of a study."""
+        user, table = (spawn_rng_states(cfg.seed, [0], game, s) for s in (RandomStream.USER, RandomStream.TABLE))
+        return setup.simulated_users(person, user), table
 
     if ADAPTED in condition.guidance.models():
         progress("unscored game", 0.0)
-        users, serves = seat(CALIBRATION_GAME)
-        game = play_games(users, opponent, no_force, protocol, table, serves, keep_demonstrations=True)
-        adapted = models.adapted_to(game.demonstrations)
-    users, serves = seat(ascii_lowercase.index(condition.letter))
-    ticks = play(users, condition, models, adapted, opponent, cfg.guidance.lookahead, table, serves, cfg.seconds)
+        users, serves = begin(CALIBRATION_GAME)
+        game = play_games(users, setup.opponent, no_force, setup.protocol, setup.table, serves, True)
+        adapted = setup.models.adapted_to(game.demonstrations)
+    users, serves = begin(ascii_lowercase.index(condition.letter))
+    ticks = play(users, setup, adapted, serves, cfg.seconds)
     archetypes = list(cfg.users.population.archetypes)
     player = f"simulated {archetypes[person['archetype'][0]].replace('_', '-')}"
     return ticks, scene_facts(condition, player, f"generation {cfg.opponent}", adapted is not None)
@@ -132,7 +125,7 @@ def check(cfg: DictConfig, ticks_per_second: int) -> None:
     check_variant(cfg.users.variant)
 
 
-def chosen_person(cfg: DictConfig) -> np.ndarray:
+def selected_person(cfg: DictConfig) -> np.ndarray:
     """(1,) the person that the configuration asks for.
 
     Raises:
@@ -149,17 +142,9 @@ def chosen_person(cfg: DictConfig) -> np.ndarray:
 
 @torch.no_grad()
 def play(
-    users: SimulatedUsers,
-    condition: Condition,
-    models: Models,
-    adapted: TensorDict | None,
-    opponent: Player,
-    lookahead_seconds: float,
-    table: TableSpec,
-    serves: np.ndarray,
-    seconds: float,
+    users: SimulatedUsers, setup: StudySetup, adapted: TensorDict | None, serves: np.ndarray, seconds: float
 ) -> pd.DataFrame:
-    """Let one person play at the left seat, a round after each goal.
+    """Play one person's game under the one condition of a setup, a round after each goal.
 
     Args:
         adapted: their own parameters of the user model, batch size (1,), if the condition has UA.
@@ -169,16 +154,17 @@ def play(
         A row per tick, see `guidance.study.tick_log.COLUMNS`, with the desired position of the hand (wanted_x and _y,
         in m of the hand) and the intention.
     """
-    guide, overheard = tapped_guidance(condition, models, adapted, lookahead_seconds)
-    rink, log = GameRunner(users, opponent, table, serves), TickLog(overheard, table.tick)
-    rink.new_games()
-    for _ in range(max(1, round(seconds / table.tick))):
+    (condition,) = setup.conditions
+    guidance, tap = tapped_guidance(condition, setup.models, adapted, setup.lookahead_seconds)
+    runner, log = GameRunner(users, setup.opponent, setup.table, serves), TickLog(tap, setup.table.tick)
+    runner.new_games()
+    for _ in range(max(1, round(seconds / setup.table.tick))):
         (wanted_x, wanted_y), intention = users.goal[0], Intention(users.intention[0]).name
-        tick = rink.tick(guide)
+        tick = runner.tick(guidance)
         scored = tick.goals != 0
         log(tick, True, scored[0]).update(wanted_x=wanted_x, wanted_y=wanted_y, intention=intention)
         if scored[0]:
-            rink.new_rounds(scored)
+            runner.new_rounds(scored)
     return pd.DataFrame(log.rows)
 
 

@@ -172,7 +172,7 @@ class FreePlay:
         self.recording.finish(numbers | {"rounds": self._rounds, "duration_s": self.log.time})
 
     def _show(self, row: dict[str, float]) -> None:
-        display, tap = self.player.display, self.log.overheard
+        display, tap = self.player.display, self.log.tap
         display.optimal, display.predicted = tap.optimal, tap.predicted
         display.weights = {text: row[name] for name, text in WEIGHT_LABELS.items() if row[name] == row[name]}
         display.won, display.lost, display.seconds = int(row["won"]), int(row["lost"]), row["time_s"]

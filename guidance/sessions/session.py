@@ -24,7 +24,7 @@ from guidance.sessions.recording import Recording
 from guidance.simulated_users.ratings import RATINGS
 from guidance.study.games import GameRunner, GameStep, play_games
 from guidance.study.models import Models
-from guidance.study.protocol import CALIBRATION_GAME, Protocol, counterbalanced_order, spawn_rng_states
+from guidance.study.protocol import CALIBRATION_GAME, Protocol, RandomStream, counterbalanced_order, spawn_rng_states
 from guidance.study.tick_log import COLUMNS, TickLog, demonstration, read_ticks, scene_facts, tapped_guidance
 
 WELCOME = (
@@ -208,8 +208,8 @@ class Session:
             if tick.goals[0]:
                 runner.new_rounds(tick.goals != 0)
 
-    def _serves(self, game: int, purpose: int = 1) -> np.ndarray:
-        return spawn_rng_states(self.plan.seed, [self.participant.place], game, purpose)
+    def _serves(self, game: int, stream: RandomStream = RandomStream.TABLE) -> np.ndarray:
+        return spawn_rng_states(self.plan.seed, [self.participant.place], game, stream)
 
     def _play(self, condition: Condition, name: str, position: int, game: int, title: str) -> None:
         """Play one game by the protocol, and save it round by round."""
@@ -229,7 +229,7 @@ class Session:
 
             try:
                 result = play_games(
-                    player, plan.opponent, forces, plan.protocol, table, self._serves(game), watching=on_tick
+                    player, plan.opponent, forces, plan.protocol, table, self._serves(game), on_tick=on_tick
                 )
             except BaseException:
                 self.events.mark(f"interrupted {name}")

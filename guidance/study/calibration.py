@@ -1,4 +1,4 @@
-"""What may be set from unguided play of the training users."""
+"""Calibration from unguided play of the training users: opponent, stiffness and thresholds of UT."""
 
 import numpy as np
 import torch
@@ -7,46 +7,44 @@ from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.evaluation.matches import play_rounds
-from airhockey_marl.experiment.command import (
-    InputError,
-)
+from airhockey_marl.experiment.command import InputError
 from airhockey_marl.players.players import Player
 from guidance.forces.conditions import ADAPTED, OPTIMAL
 from guidance.forces.equations import uncertainty_weight
 from guidance.study.models import Models
 from guidance.user_model.maml import forward_stacked
 
-NEW_ROUND = 0.1  # m, further than a paddle moves in a tick: it has been put back
+NEW_ROUND = 0.1  # m; a paddle that moves further in a tick was put back for a new round
 
 
 def select_opponent(trials: dict[int, dict[str, float]], win_rate: list[float], round_seconds: list[float]) -> int:
     """The newest generation within both ranges.
 
+    Args:
+        trials: per generation the `win_rate` of the users and the mean `round_seconds`.
+
     Raises:
-        InputError: there is none.
+        InputError: no generation is within both.
     """
-    fitting = [
+    generations = [
         generation
         for generation, trial in trials.items()
         if win_rate[0] <= trial["win_rate"] <= win_rate[1]
         and round_seconds[0] <= trial["round_seconds"] <= round_seconds[1]
     ]
-    if not fitting:
+    if not generations:
         raise InputError(f"no generation has win_rate in {win_rate} and round_seconds in {round_seconds}: {trials}")
-    return max(fitting)
+    return max(generations)
 
 
 @torch.no_grad()
 def target_lead(
     models: Models, demonstrations: list[tuple[Tensor, Tensor]], games: int, lookahead_seconds: float
 ) -> np.ndarray:
-    """By how much UPHG's target (UA) leads the hand, in s: the slope of their distance over the hand's velocity.
+    """Lead (users,) of UPHG's target (UA) over the hand, in s: the slope of their distance over the hand's velocity.
 
     Args:
-        demonstrations: person by person, `games` games each; the first of each is for UA.
-
-    Returns:
-        (people,)
+        demonstrations: user by user, `games` games each; the first of each is for UA.
     """
     adapted, tick, leads = models.adapted_to(demonstrations[::games]), TableSpec().tick, []
     for person in range(len(adapted)):
@@ -64,37 +62,38 @@ def target_lead(
 
 
 def lookahead_win_rate(models: Models, opponent: Player, lookahead_seconds: float, seed: int) -> float:
-    """Share of decided rounds that the optimal action model itself wins, asked every tick about the looked-ahead state.
+    """Share of decided rounds that the optimal action model wins when it acts on the looked-ahead state.
 
-    No rule rests on it. But it says what OAHG can hope for: an action that is right in a while is not right now.
+    Reported only; no parameter is set by it. It bounds what OAHG can achieve with this look-ahead.
     """
 
-    def looking_ahead(observation: Tensor) -> Tensor:
+    def player(observation: Tensor) -> Tensor:
         return models.optimal(models.lookahead_state(OPTIMAL, observation, lookahead_seconds))[0]
 
-    won, lost, _ = play_rounds(looking_ahead, opponent, 100, 4, seed, frame_skip=1).sum(axis=0)
+    won, lost, _ = play_rounds(player, opponent, 100, 4, seed, frame_skip=1).sum(axis=0)
     return float(won / (won + lost))
 
 
 def max_stable_stiffness(lead: np.ndarray, damping: np.ndarray, share: float, of_people: float, step: float) -> float:
-    """The largest K, a multiple of `step` in N/m, for which K lead <= share * damping holds for so many of the people.
+    """The largest K for which K * lead <= share * damping holds for a share `of_people` of the users.
 
     Args:
-        lead: (people,) s.
-        damping: (people,) N s/m, of arm and device.
+        lead: (users,) s.
+        damping: (users,) N s/m, of arm and device.
+        step: N/m, of which K is a multiple.
     """
-    each = np.where(lead > 0, share * damping / np.maximum(lead, 1e-12), np.inf)
-    return float(step * np.floor(np.quantile(each, 1 - of_people, method="lower") / step))
+    stiffness = np.where(lead > 0, share * damping / np.maximum(lead, 1e-12), np.inf)
+    return float(step * np.floor(np.quantile(stiffness, 1 - of_people, method="lower") / step))
 
 
 @torch.no_grad()
 def predicted_std(
     models: Models, demonstrations: list[tuple[Tensor, Tensor]], games: int, lookahead_seconds: float
 ) -> dict[str, Tensor]:
-    """STD (ticks, 2) of the optimal and of the adapted user model; each person's first game is for UA and left out.
+    """STD (ticks, 2) of the optimal and of the adapted user model.
 
     Args:
-        demonstrations: person by person, `games` games each.
+        demonstrations: user by user, `games` games each; the first of each is for UA and left out.
     """
     adapted = models.adapted_to(demonstrations[::games])
     optimal, user = [], []

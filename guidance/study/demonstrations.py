@@ -1,4 +1,4 @@
-"""What people do without guidance: the data that user models are trained on and parameters are calibrated on."""
+"""Play without guidance: the data on which user models are trained and parameters are calibrated."""
 
 from collections.abc import Callable
 
@@ -6,11 +6,11 @@ import numpy as np
 import torch
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.validation import check_arrays, check_counts
+from airhockey_marl.experiment.validation import check_counts
 from airhockey_marl.players.players import Player
 from guidance.simulated_users import Advisors, SimulatedUsers
 from guidance.study.games import GameRunner
-from guidance.study.protocol import spawn_rng_states
+from guidance.study.protocol import RandomStream, spawn_rng_states
 from guidance.user_model.data import Demonstrations
 
 
@@ -22,41 +22,41 @@ def collect_demonstrations(
     ticks: int,
     table: TableSpec,
     variant: str,
-    mentors: Advisors,
+    advisors: Advisors,
     seed: int,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Demonstrations:
-    """Let each of `people` (users,) play `games` games of `ticks` ticks without guidance.
+    """Play `games` games of `ticks` ticks with each of `people` (users,), without guidance.
 
     Returns:
         `Demonstrations`: observations (users, games, ticks, 12) and actions (users, games, ticks, 2), float32. The
-        action of a tick is where the hand has gone at its end, on the observation at its beginning.
+        action of a tick is the hand position at its end, the observation that at its beginning.
 
     Raises:
         ValueError: `games` or `ticks` is below 1.
     """
     check_counts(games=games, ticks=ticks)
-    check_arrays("V", people=(people, "users"))
     users = len(people)
     n = users * games
 
-    def game_streams(purpose: int) -> np.ndarray:
-        return np.stack([spawn_rng_states(seed, range(users), game, purpose) for game in range(games)], axis=1).ravel()
+    def rng_states(stream: RandomStream) -> np.ndarray:
+        return np.stack([spawn_rng_states(seed, range(users), game, stream) for game in range(games)], axis=1).ravel()
 
-    players = SimulatedUsers(np.repeat(people, games), game_streams(2), table, variant, mentors)
-    rink = GameRunner(players, opponent, table, game_streams(3))
-    rink.new_games()
+    demonstrators = rng_states(RandomStream.DEMONSTRATOR)
+    players = SimulatedUsers(np.repeat(people, games), demonstrators, table, variant, advisors)
+    runner = GameRunner(players, opponent, table, rng_states(RandomStream.DEMONSTRATION_TABLE))
+    runner.new_games()
     observation, action = np.empty((ticks, n, 12), dtype=np.float32), np.empty((ticks, n, 2), dtype=np.float32)
     for tick in range(ticks):
-        played = rink.tick()
-        observation[tick], action[tick] = played.state, played.action
-        scored = played.goals != 0
+        step = runner.tick()
+        observation[tick], action[tick] = step.state, step.action
+        scored = step.goals != 0
         if scored.any():
-            rink.new_rounds(scored)
+            runner.new_rounds(scored)
         if tick % 100 == 99:
             progress((tick + 1) / ticks)
 
-    def by_user(trail: np.ndarray) -> torch.Tensor:
-        return torch.from_numpy(trail).transpose(0, 1).unflatten(0, (users, games)).contiguous()
+    def by_user(values: np.ndarray) -> torch.Tensor:
+        return torch.from_numpy(values).transpose(0, 1).unflatten(0, (users, games)).contiguous()
 
     return Demonstrations(by_user(observation), by_user(action))

@@ -1,7 +1,7 @@
-"""Games of section 4.2, side by side, whoever sits at the device: unscored play, rounds, extra rounds, metrics.
+"""Games of section 4.2 side by side, with simulated or real participants: familiarization, rounds, metrics.
 
-Each game has its own streams of random numbers and is played as if it were alone: which others are on at the same time
-does not change a bit of it, and one that is over costs nothing more.
+Each game has random number streams of its own, so its results are bit-identical whichever other games are played at the
+same time. A finished game takes no more time.
 """
 
 from collections.abc import Callable
@@ -23,14 +23,14 @@ from guidance.study.protocol import Protocol, ProtocolState
 
 
 class Participants(Interface):
-    """n people at their devices, simulated or real: all that a game asks of them."""
+    """n simulated or real people at their devices."""
 
     @property
-    def action(self) -> np.ndarray: ...  # (n, 2) where the hand is, over its reach
+    def action(self) -> np.ndarray: ...  # (n, 2) hand position over its reach
 
-    def new_round(self, which: np.ndarray) -> None: ...  # (n,) bool
+    def new_round(self, mask: np.ndarray) -> None: ...  # (n,) bool
 
-    def new_game(self, which: np.ndarray) -> None: ...
+    def new_game(self, mask: np.ndarray) -> None: ...
 
     def step(self, state: np.ndarray, force: np.ndarray, rows: np.ndarray) -> np.ndarray: ...
 
@@ -40,38 +40,38 @@ Forces = Callable[[np.ndarray, np.ndarray, np.ndarray], GuidanceOutput]
 
 
 def no_force(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> GuidanceOutput:
-    """NHG for everyone."""
+    """No force in any game (NHG)."""
     return GuidanceOutput(torch.zeros(len(games), 2, dtype=torch.float64))
 
 
 class GameStep(NamedTuple):
-    """What one tick of n games was; its arrays are written anew by the next one.
+    """One tick of n games; the next tick overwrites its arrays.
 
     Attributes:
-        games: (k,) those that were played.
-        state: (n, 12) what the participants saw at its beginning, as `tables.observe` writes it.
-        before, action: (n, 2) where the hand was at its beginning and at its end, over its reach.
-        guided: the forces (k, 2) of the games that were played, and their weights.
-        goals: (n,) +1 the participant scored, -1 the opponent.
+        games: (k,) the games that were played.
+        state: (n, 12) the state at its beginning, as `World.observe` writes it for the left side.
+        before, action: (n, 2) hand position over its reach, at its beginning and at its end.
+        guidance: the forces (k, 2) of the games that were played, and their weights.
+        goals: (n,) +1 if the participant scored, -1 if the opponent did.
     """
 
     games: np.ndarray
     state: np.ndarray
     before: np.ndarray
     action: np.ndarray
-    guided: GuidanceOutput
+    guidance: GuidanceOutput
     goals: np.ndarray
 
 
 class GameRunner:
-    """n tables with a participant at each left seat and one opponent at all the right ones.
+    """n tables with participants at the left and one opponent at the right of all of them.
 
     Args:
-        serves: (n,) uint64, the tables' random numbers.
+        serves: (n,) uint64, the states of the tables' random number streams.
 
     Attributes:
-        force: (n, 2) N, what each hand felt last.
-        puck_before: (n, 4) the pucks before the last tick.
+        force: (n, 2) the last force on each hand, N.
+        puck_before: (n, 4) the pucks at the beginning of the last tick.
     """
 
     def __init__(self, participants: Participants, opponent: Player, table: TableSpec, serves: np.ndarray) -> None:
@@ -80,18 +80,18 @@ class GameRunner:
         self.participants, self.opponent, self.tables = participants, opponent, World(n, table)
         self.tables.rng[:] = serves
         self.everyone, self._all = np.ones(n, dtype=bool), np.arange(n)
-        self._seen, self._seen_by_opponent = np.empty((n, 12)), np.empty((n, 12), dtype=np.float32)
+        self._state, self._opponent_observation = np.empty((n, 12)), np.empty((n, 12), dtype=np.float32)
         self.force, self._actions = np.zeros((n, 2)), np.zeros((n, 2, 2))
 
     def new_games(self) -> None:
-        """Begin everybody's game."""
+        """Begin all games."""
         self.tables.new_rounds()
         self.participants.new_game(self.everyone)
 
-    def new_rounds(self, which: np.ndarray) -> None:
+    def new_rounds(self, mask: np.ndarray) -> None:
         """Begin a round at the tables of a mask (n,)."""
-        self.tables.new_rounds(which)
-        self.participants.new_round(which)
+        self.tables.new_rounds(mask)
+        self.participants.new_round(mask)
 
     def tick(self, forces: Forces = no_force, games: np.ndarray | None = None) -> GameStep:
         """Play one tick at the tables `games` (k,), at all of them if None."""
@@ -100,39 +100,39 @@ class GameRunner:
         else:
             check_rows("games", games, len(self._all))
         tables, actions = self.tables, self._actions
-        tables.observe(LEFT, self._seen)
+        tables.observe(LEFT, self._state)
         self.puck_before = tables.bodies[:, PUCK].copy()
         before = self.participants.action.copy()
-        guided = forces(self._seen, before, games)
-        self.force[games] = guided.force.numpy()
-        actions[:, LEFT] = self.participants.step(self._seen, self.force, games)
-        tables.observe(RIGHT, self._seen_by_opponent)
-        actions[games, RIGHT] = self.opponent(torch.from_numpy(self._seen_by_opponent[games])).numpy()
+        guidance = forces(self._state, before, games)
+        self.force[games] = guidance.force.numpy()
+        actions[:, LEFT] = self.participants.step(self._state, self.force, games)
+        tables.observe(RIGHT, self._opponent_observation)
+        actions[games, RIGHT] = self.opponent(torch.from_numpy(self._opponent_observation[games])).numpy()
         tables.step(actions, indices=games)
-        return GameStep(games, self._seen, before, actions[:, LEFT], guided, tables.goals)
+        return GameStep(games, self._state, before, actions[:, LEFT], guidance, tables.goals)
 
 
 class MetricsRecorder:
-    """The objective metrics of the games on a rink, and the moments of their weights, kept tick by tick."""
+    """Accumulates the objective metrics of games and the moments of their guidance weights."""
 
-    def __init__(self, rink: GameRunner) -> None:
-        n = len(rink.everyone)
-        self.rink, self._sheets = rink, new_counters(n)
+    def __init__(self, runner: GameRunner) -> None:
+        n = len(runner.everyone)
+        self.runner, self._counters = runner, new_counters(n)
         self._weights = {name: RunningMoments(n) for name in GuidanceOutput._fields[1:]}
 
     def add(self, tick: GameStep) -> None:
-        """Enter the tick that the rink has just played."""
-        rink, tables = self.rink, self.rink.tables
-        disagreed = disagreement(rink.force, tick.action - tick.before)
-        pucks = rink.puck_before, tables.bodies[:, PUCK]
-        record(self._sheets, tick.games, *pucks, tables.touched, tables.served, tick.goals, disagreed, tables.table)
+        """Add the last tick of the runner."""
+        runner, tables = self.runner, self.runner.tables
+        conflict = disagreement(runner.force, tick.action - tick.before)
+        pucks = runner.puck_before, tables.bodies[:, PUCK]
+        record(self._counters, tick.games, *pucks, tables.touched, tables.served, tick.goals, conflict, tables.table)
         for name, moments in self._weights.items():
-            if getattr(tick.guided, name) is not None:
-                moments.add(tick.games, getattr(tick.guided, name).numpy())
+            if getattr(tick.guidance, name) is not None:
+                moments.add(tick.games, getattr(tick.guidance, name).numpy())
 
     def results(self) -> dict[str, np.ndarray]:
         """The objective metrics so far, (n,) each."""
-        return metric_values(self._sheets)
+        return metric_values(self._counters)
 
     def weights(self) -> dict[str, np.ndarray]:
         """Mean and SD (n,) of each weight so far."""
@@ -142,13 +142,13 @@ class MetricsRecorder:
 
 @dataclass
 class Games:
-    """What n games side by side have brought.
+    """The results of n games.
 
     Attributes:
         results: the objective metrics, (n,) each.
-        rounds, seconds: (n,) rounds played, and s of scored play.
+        rounds, seconds: (n,) rounds, and s of scored play.
         weights: mean and SD (n,) of each weight within each game.
-        demonstrations: per game the scored observations (ticks, 12) and actions (ticks, 2), if they were asked for.
+        demonstrations: per game the observations (ticks, 12) and actions (ticks, 2) of scored play, if kept.
     """
 
     results: dict[str, np.ndarray]
@@ -168,43 +168,43 @@ def play_games(
     serves: np.ndarray,
     keep_demonstrations: bool = False,
     progress: Callable[[float], None] = lambda share: None,
-    watching: Callable[[GameStep, bool, np.ndarray], None] = lambda tick, scored, ended: None,
+    on_tick: Callable[[GameStep, bool, np.ndarray], None] = lambda tick, scored, ended: None,
 ) -> Games:
-    """Play one game at each of n tables; participants sit at the left seat.
+    """Play one game at each of n tables, participants at the left.
 
     Args:
-        opponent: plays the right seat of all tables.
-        forces: the guidance of each game.
-        serves: (n,) uint64, the tables' random numbers.
-        keep_demonstrations: keep what was seen and done in scored play.
-        progress: is told the share of the rounds that are over.
-        watching: is shown every tick, whether it is scored, and the mask (n,) of the rounds that end with it.
+        opponent: plays at the right of all tables.
+        forces: the guidance.
+        serves: (n,) uint64, the states of the tables' random number streams.
+        keep_demonstrations: keep the observations and actions of scored play.
+        progress: called with the share of the rounds that are over.
+        on_tick: called with every tick, whether it is scored, and the mask (n,) of the rounds that end with it.
     """
     n = len(serves)
-    rink, schedule = GameRunner(participants, opponent, table, serves), ProtocolState(n, protocol, table.tick)
-    rink.new_games()
-    scoring = MetricsRecorder(rink)
+    runner, state = GameRunner(participants, opponent, table, serves), ProtocolState(n, protocol, table.tick)
+    runner.new_games()
+    metrics = MetricsRecorder(runner)
     trail: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
-    while len(games := schedule.playing):
-        if schedule.begins():
-            rink.new_games()
-        tick = rink.tick(forces, games)
-        if schedule.scored:
-            scoring.add(tick)
+    while len(games := state.playing):
+        if state.begin_scoring():
+            runner.new_games()
+        tick = runner.tick(forces, games)
+        if state.scored:
+            metrics.add(tick)
             if keep_demonstrations:
                 trail.append((games, tick.state[games].astype(np.float32), tick.action[games].astype(np.float32)))
-        scored, ended = schedule.scored, schedule.tick(tick.goals)
-        watching(tick, scored, ended)
+        scored, ended = state.scored, state.tick(tick.goals)
+        on_tick(tick, scored, ended)
         if ended.any():
-            rink.new_rounds(ended)
-            progress(float(np.minimum(schedule.rounds / protocol.rounds, 1).mean()))
+            runner.new_rounds(ended)
+            progress(float(np.minimum(state.rounds / protocol.rounds, 1).mean()))
 
     return Games(
-        results=scoring.results(),
-        rounds=schedule.rounds,
-        seconds=schedule.ticks * table.tick,
-        weights=scoring.weights(),
+        results=metrics.results(),
+        rounds=state.rounds,
+        seconds=state.ticks * table.tick,
+        weights=metrics.weights(),
         demonstrations=_by_game(trail, n),
     )
 
@@ -212,7 +212,7 @@ def play_games(
 def _by_game(trail: list[tuple[np.ndarray, np.ndarray, np.ndarray]], n: int) -> list[tuple[Tensor, Tensor]]:
     if not trail:
         return []
-    games, seen, done = (np.concatenate(part) for part in zip(*trail, strict=True))
+    games, states, actions = (np.concatenate(part) for part in zip(*trail, strict=True))
     order, ends = np.argsort(games, kind="stable"), np.cumsum(np.bincount(games, minlength=n))[:-1]
-    parts = (np.split(part[order], ends) for part in (seen, done))
+    parts = (np.split(part[order], ends) for part in (states, actions))
     return [(torch.from_numpy(x), torch.from_numpy(y)) for x, y in zip(*parts, strict=True)]

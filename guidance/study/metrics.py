@@ -1,13 +1,13 @@
-"""The four objective metrics of section 4.3, kept tick by tick for many games at once.
+"""The four objective metrics of section 4.3, accumulated tick by tick for many games at once.
 
-Rules where the paper is silent:
+Definitions where the paper leaves them open:
 
-Mean smash speed: the puck's speed, in m/s, as it crosses the half-way line after the user's was the last touch.
-Defense rate: a shot is a puck whose path, carried on with its present velocity over the side walls, ends in the
-  user's goal. It is blocked when the user touches it and it then no longer does, conceded when it scores; one that
-  goes astray by itself (a post, a new serve) was none. Undefined without a shot.
-Mean disagreement: over every tick with a force to disagree with, in N; a hand that does not move does not disagree.
-Win rate: of the rounds that somebody won.
+Mean smash speed: the puck's speed, in m/s, as it crosses the half-way line after the user touched it last.
+Defense rate: a shot is a puck whose path, extrapolated with its present velocity and reflected by the side walls, ends
+  in the user's goal. It is blocked if the user touches it and its path then no longer ends there, conceded if it
+  scores; one that misses otherwise (a post, a new serve) does not count. Undefined without a shot.
+Mean disagreement: over every scored tick, in N; 0 where the hand does not move.
+Win rate: share of the decided rounds.
 """
 
 from math import hypot
@@ -16,7 +16,7 @@ import numpy as np
 from numba import njit
 
 from airhockey_marl.envs.puck_path import BLOCKED, NO_OUTCOME, heads_for_goal, shot_outcome
-from airhockey_marl.experiment.validation import check_arrays, check_counts, check_rows, kind_of
+from airhockey_marl.experiment.validation import check_arrays, check_rows, kind_of
 
 METRIC_COUNTERS = np.dtype(
     [
@@ -35,13 +35,12 @@ METRIC_COUNTERS = np.dtype(
 
 
 def new_counters(n: int) -> np.ndarray:
-    """Blank sheets for n games: (n,) of `METRIC_COUNTERS`."""
-    check_counts(n=n)
+    """Zeroed `METRIC_COUNTERS` (n,) of n games."""
     return np.zeros(n, dtype=METRIC_COUNTERS)
 
 
 def disagreement(force: np.ndarray, action_change: np.ndarray) -> np.ndarray:
-    """Disagreement (...) in N of forces (..., 2) with the action's change in the tick after them (section 4.3).
+    """Disagreement (...) in N of forces (..., 2) with the change of action (..., 2) in the same tick (section 4.3).
 
     The force's component against the motion; 0 where the hand does not move or moves with the force.
     """
@@ -52,60 +51,60 @@ def disagreement(force: np.ndarray, action_change: np.ndarray) -> np.ndarray:
 
 
 @njit(cache=True)
-def _record_tick(sheet, before, after, by_user, by_opponent, served, goal, table):
+def _record_tick(counter, before, after, by_user, by_opponent, served, goal, table):
     if by_user:
-        sheet.users_puck = True
+        counter.users_puck = True
     elif by_opponent:
-        sheet.users_puck = False
-    if sheet.users_puck and before[0] <= 0.0 < after[0] and not served:
-        sheet.smashes += 1
-        sheet.smash_speed += hypot(after[2], after[3])
+        counter.users_puck = False
+    if counter.users_puck and before[0] <= 0.0 < after[0] and not served:
+        counter.smashes += 1
+        counter.smash_speed += hypot(after[2], after[3])
 
     threat = not served and goal == 0 and heads_for_goal(after[0], after[1], after[2], after[3], table)
-    outcome = shot_outcome(sheet.under_fire, threat, by_user, served, goal)
-    sheet.shots += outcome != NO_OUTCOME  # a goal conceded was a shot, whether it was foreseen or not
-    sheet.blocked += outcome == BLOCKED
-    sheet.under_fire = threat
+    outcome = shot_outcome(counter.under_fire, threat, by_user, served, goal)
+    counter.shots += outcome != NO_OUTCOME  # a conceded goal was a shot, whether it was foreseen or not
+    counter.blocked += outcome == BLOCKED
+    counter.under_fire = threat
     if served or goal != 0:
-        sheet.users_puck = False
-    sheet.won += goal > 0
-    sheet.lost += goal < 0
-    sheet.ticks += 1
+        counter.users_puck = False
+    counter.won += goal > 0
+    counter.lost += goal < 0
+    counter.ticks += 1
 
 
 @njit(cache=True)
-def record(sheets, games, before, after, touched, served, goals, disagreed, table):
-    """Enter one tick of play into the sheets of some games.
+def record(counters, games, before, after, touched, served, goals, conflict, table):
+    """Add one tick of play to the counters of some games.
 
     Args:
-        sheets: (n,) `METRIC_COUNTERS`.
-        games: (k,) int64, those that are scored.
-        before, after: (n, 4) the puck (x, y, vx, vy) around the tick, the user's goal at x = -length / 2.
-        touched: (n,) bits: 1 the user, 2 the opponent.
-        served: (n,) bool, the puck was served anew.
+        counters: (n,) `METRIC_COUNTERS`.
+        games: (k,) int64, the scored games.
+        before, after: (n, 4) the puck (x, y, vx, vy) around the tick, with the user's goal at x = -length / 2.
+        touched: (n,) bits: 1 touched by the user, 2 by the opponent.
+        served: (n,) bool, a new serve.
         goals: (n,) +1 scored, -1 conceded.
-        disagreed: (n,) the tick's disagreement in N.
-        table: the `Table` played on.
+        conflict: (n,) the disagreement of the tick in N.
+        table: the `TableSpec` of the tables.
     """
     for i in games:
         by_user, by_opponent = (touched[i] & 1) != 0, (touched[i] & 2) != 0
-        _record_tick(sheets[i], before[i], after[i], by_user, by_opponent, served[i], goals[i], table)
-        sheets[i].disagreement += disagreed[i]
+        _record_tick(counters[i], before[i], after[i], by_user, by_opponent, served[i], goals[i], table)
+        counters[i].disagreement += conflict[i]
 
 
-def _ratio(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
-    return np.divide(part, whole, out=np.full(len(whole), np.nan), where=whole > 0)
+def _ratio(part: np.ndarray, total: np.ndarray) -> np.ndarray:
+    return np.divide(part, total, out=np.full(len(total), np.nan), where=total > 0)
 
 
-def metric_values(sheets: np.ndarray) -> dict[str, np.ndarray]:
-    """The four metrics of each game, (n,) each; not a number where a game gave nothing to measure."""
-    if sheets.dtype != METRIC_COUNTERS or sheets.ndim != 1:
-        raise ValueError(f"sheets: {kind_of(sheets)}, must be GAME_SHEET of shape (n,)")
+def metric_values(counters: np.ndarray) -> dict[str, np.ndarray]:
+    """The four metrics (n,) of n games; NaN where one is undefined."""
+    if counters.dtype != METRIC_COUNTERS or counters.ndim != 1:
+        raise ValueError(f"counters: {kind_of(counters)}, must be METRIC_COUNTERS of shape (n,)")
     return {
-        "win_rate": _ratio(sheets["won"], sheets["won"] + sheets["lost"]),
-        "mean_smash_speed": _ratio(sheets["smash_speed"], sheets["smashes"]),
-        "defense_rate": _ratio(sheets["blocked"], sheets["shots"]),
-        "mean_disagreement": _ratio(sheets["disagreement"], sheets["ticks"]),
+        "win_rate": _ratio(counters["won"], counters["won"] + counters["lost"]),
+        "mean_smash_speed": _ratio(counters["smash_speed"], counters["smashes"]),
+        "defense_rate": _ratio(counters["blocked"], counters["shots"]),
+        "mean_disagreement": _ratio(counters["disagreement"], counters["ticks"]),
     }
 
 
@@ -121,19 +120,18 @@ def _add(games, values, count, mean, squares):
 
 
 class RunningMoments:
-    """Running mean and standard deviation of a weight within each game (Welford), in memory flat in its length."""
+    """Running mean and standard deviation of a value within each of n games (Welford), in constant memory."""
 
     def __init__(self, n: int) -> None:
-        check_counts(n=n)
         self.count, self.mean, self._squares = np.zeros(n), np.zeros(n), np.zeros(n)
 
     def add(self, games: np.ndarray, values: np.ndarray) -> None:
-        """Add values (k,) of some games (k,), leaving out what is not a number."""
+        """Add values (k,) of games (k,), skipping NaN."""
         check_rows("games", games, len(self.count))
         if np.shape(values) != games.shape or values.dtype.kind != "f":
             raise ValueError(f"values: {kind_of(values)}, must be floats of shape {games.shape}")
         _add(games, values, self.count, self.mean, self._squares)
 
     def result(self) -> tuple[np.ndarray, np.ndarray]:
-        """Mean and population SD (n,) of each game; not a number where nothing was added."""
+        """Mean and population SD (n,) of each game; NaN where nothing was added."""
         return _ratio(self.mean * self.count, self.count), np.sqrt(_ratio(self._squares, self.count))

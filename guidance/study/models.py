@@ -1,4 +1,4 @@
-"""The trained models a guidance needs, and their files."""
+"""The trained models of the guidances, and their files."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,15 +20,15 @@ from guidance.user_model.training import adapt_to_user
 
 
 def save_user_model(path: Path | str, model: GaussianPolicy, facts: dict) -> None:
-    """Write a user prediction model; `facts` (any JSON) travel with it."""
+    """Write a user prediction model with its metadata `facts` (any JSON)."""
     save_tensors(path, model.state_dict(), {**facts, **model.architecture})
 
 
 def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
-    """Read a user prediction model and its facts.
+    """Read a user prediction model and its metadata.
 
     Raises:
-        ValueError: the file is missing, broken, or not of the shape it says it is.
+        ValueError: the file is missing or broken, or its tensors do not fit the architecture it states.
     """
     tensors, facts = load_tensors(path)
     try:
@@ -42,7 +42,7 @@ def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
 
 
 def _require_fact(path: Path | str, facts: dict, name: str, least: float, most: float) -> None:
-    """Refuse a number, if the file has it, that no training writes: NaN, a text, or out of range."""
+    """Raise if a metadata entry is given and is not a number from `least` to `most`."""
     value = facts.get(name, least)
     if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
         raise ValueError(f"{path}: {name} = {value} must be a number from {least:g} to {most:g}")
@@ -50,16 +50,16 @@ def _require_fact(path: Path | str, facts: dict, name: str, least: float, most: 
 
 @dataclass(frozen=True)
 class Models:
-    """What the guidances ask.
+    """The models of the guidances.
 
     Attributes:
         optimal: the optimal action model (OAHG).
         user: the user prediction model for people in general (UPHG without UA).
-        meta: the meta-learned one, to be adapted to a user (UA).
+        meta: the meta-learned user prediction model, adapted to a user by UA.
         inner_lr: alpha of Eq. 1, with which `meta` was trained.
-        ahead: s after the state, at which `user` and `meta` predict the action; 0 in the paper.
+        ahead: prediction horizon of `user` and `meta` in s; 0 in the paper.
         hashes: SHA-256 of the file of each.
-        device: on which they are asked, see `inference.make_inference`.
+        device: where they are evaluated, see `airhockey_marl.players.inference.make_inference`.
     """
 
     optimal: GaussianPolicy
@@ -102,16 +102,15 @@ class Models:
         """User adaptation (UA, Eq. 1): `meta` after one step on each user's own game.
 
         Args:
-            demonstrations: per user the observations (ticks, 12) and the actions (ticks, 2) of the game; games differ
-                in length.
+            demonstrations: per user the observations (ticks, 12) and actions (ticks, 2) of a game of any length.
 
         Returns:
             The adapted parameters, batch size (users,).
         """
         theta, table = parameters(self.meta), TableSpec()
-        own = [(x[None], action_ahead(x, y, self.ahead, table)[None]) for x, y in demonstrations]
-        return torch.cat([adapt_to_user(self.meta, theta, x, y, self.inner_lr) for x, y in own])
+        demonstrations = [(x[None], action_ahead(x, y, self.ahead, table)[None]) for x, y in demonstrations]
+        return torch.cat([adapt_to_user(self.meta, theta, x, y, self.inner_lr) for x, y in demonstrations])
 
     def lookahead_state(self, model: str, state: Tensor, seconds: float) -> Tensor:
-        """The looked-ahead state of Eq. 4, for one of the models: only as far as it does not look ahead itself."""
+        """The looked-ahead state of Eq. 4 for one of the models, less the model's own prediction horizon."""
         return lookahead_state(state, seconds if model == OPTIMAL else max(seconds - self.ahead, 0.0))

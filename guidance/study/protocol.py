@@ -1,21 +1,22 @@
-"""The protocol of section 4.2: counterbalanced orders, rounds of a game, random streams."""
+"""The protocol of section 4.2: rounds of a game, counterbalanced orders of conditions, random number streams."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 
 import numpy as np
 
-from airhockey_marl.experiment.validation import check_counts, check_numbers, kind_of, labeled
+from airhockey_marl.experiment.validation import check_counts, check_numbers, labeled
 
 
 @dataclass(frozen=True)
 class Protocol:
-    """How long a game is (section 4.2).
+    """The length of a game (section 4.2).
 
     Attributes:
         familiarization: s of unscored play before each game.
         rounds: rounds of a game.
-        extra_rounds: at most so many more, while the game is shorter than `min_seconds`.
+        extra_rounds: largest number of additional rounds, played while the game is shorter than `min_seconds`.
         min_seconds: s.
         round_seconds: s after which a round without a goal ends undecided.
     """
@@ -34,24 +35,22 @@ class Protocol:
 
 
 class ProtocolState:
-    """Where n games are in the protocol.
+    """The progress of n games through the protocol.
 
     Attributes:
-        playing: (k,) int64, the games that are on, ascending; a new array whenever one has ended.
+        playing: (k,) int64, the games that are not over, ascending; a new array whenever one has ended.
         scored: whether the familiarization is over.
-        rounds, ticks: (n,) rounds that are over, and ticks of scored play.
+        rounds, ticks: (n,) finished rounds, and ticks of scored play.
     """
 
     def __init__(self, n: int, protocol: Protocol, tick_seconds: float) -> None:
-        check_counts(n=n)
-        check_numbers(above=0.0, tick_seconds=tick_seconds)
         self.protocol, self.tick_seconds = protocol, tick_seconds
         self.unscored_ticks = round(protocol.familiarization / tick_seconds)
         self.playing, self.scored, self._elapsed = np.arange(n), False, 0
         self.rounds, self.ticks, self._round_ticks = np.zeros((3, n), dtype=np.int64)
 
-    def begins(self) -> bool:
-        """Whether the scored game begins now, for everyone at once."""
+    def begin_scoring(self) -> bool:
+        """Begin the scored games if the familiarization has just ended; whether it has. It ends for all n at once."""
         if self.scored or self._elapsed < self.unscored_ticks:
             return False
         self.scored = True
@@ -59,9 +58,7 @@ class ProtocolState:
         return True
 
     def tick(self, goals: np.ndarray) -> np.ndarray:
-        """A tick has been played, with these goals (n,): the mask (n,) of the rounds that have ended with it."""
-        if np.shape(goals) != self.rounds.shape or goals.dtype.kind != "i":
-            raise ValueError(f"goals: {kind_of(goals)}, must be whole numbers of shape {self.rounds.shape}")
+        """Advance by a tick with goals (n,) int, and return the mask (n,) of the rounds that ended with it."""
         games, protocol, seconds = self.playing, self.protocol, self.tick_seconds
         self._elapsed += 1
         self._round_ticks[games] += 1
@@ -81,26 +78,36 @@ class ProtocolState:
         return ended
 
 
-def spawn_rng_states(seed: int, users: Sequence[int], condition: int, purpose: int) -> np.ndarray:
-    """(users,) uint64: a stream for each user's game in a condition; purpose 0 is the person, 1 the table."""
-    check_counts(0, seed=seed, condition=condition, purpose=purpose)
-    for user in users:
-        check_counts(0, users=user)
-    keys = [np.random.SeedSequence([seed, user, condition, purpose]) for user in users]
+class RandomStream(IntEnum):
+    """The independent random number streams of a game."""
+
+    USER = 0
+    TABLE = 1
+    DEMONSTRATOR = 2
+    DEMONSTRATION_TABLE = 3
+    PRACTICE_TABLE = 4
+
+
+def spawn_rng_states(seed: int, users: Sequence[int], game: int, stream: int) -> np.ndarray:
+    """(users,) uint64: the initial state of a random number stream for each user's game.
+
+    Args:
+        game: the index of a condition, or `CALIBRATION_GAME`.
+        stream: a `RandomStream`.
+    """
+    keys = [np.random.SeedSequence([seed, user, game, int(stream)]) for user in users]
     return np.array([key.generate_state(1, np.uint64)[0] for key in keys], dtype=np.uint64)
 
 
-CALIBRATION_GAME = 99  # in the seeds, the unscored game counts as a condition of its own
-PAPER_LETTERS = "abcdefghi"  # the letters of the paper's conditions
+CALIBRATION_GAME = 99  # the number of the unscored game in the seeds, beside the indices of the conditions
 
 
 def williams_design(conditions: int) -> np.ndarray:
-    """A Williams design: orders (rows) in which each condition follows each other one equally often.
+    """A Williams design: orders (rows) in which every condition follows every other equally often.
 
     Returns:
-        (k, conditions) indices; k = conditions if their number is even, twice that if it is odd.
+        (k, conditions) indices; k is the number of conditions if it is even, twice that if it is odd.
     """
-    check_counts(conditions=conditions)
     first = [0]
     for step in range(1, conditions):
         first.append((first[-1] + (step if step % 2 else -step)) % conditions)
@@ -109,18 +116,15 @@ def williams_design(conditions: int) -> np.ndarray:
 
 
 def is_balanced(users: int, conditions: int) -> bool:
-    """Whether so many users can play so many conditions in the orders of a Williams design, each equally often."""
-    check_counts(users=users)
+    """Whether each order of the Williams design is used by equally many of the users."""
     return users % len(williams_design(conditions)) == 0
 
 
 def counterbalanced_order(users: int, conditions: int, seed: int) -> np.ndarray:
-    """(users, conditions) the position, from 1, at which each user plays each condition.
+    """(users, conditions): the position, from 1, of each condition in each user's order.
 
-    Users get the rows of a Williams design in random order; it is balanced where their number is a multiple of its.
+    Users get the rows of a Williams design in random order; see `is_balanced`.
     """
-    check_counts(users=users)
-    check_counts(0, seed=seed)
     design, rng = williams_design(conditions), np.random.default_rng([seed, users])
     rows = np.concatenate([rng.permutation(len(design)) for _ in range(-(-users // len(design)))])[:users]
     return np.argsort(design[rows], axis=1) + 1

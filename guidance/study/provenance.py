@@ -1,4 +1,4 @@
-"""What a result rests on: the conditions and files a configuration names, and one hash over all of it."""
+"""Provenance of a result: the conditions and files of its configuration, and one hash over all of them."""
 
 import hashlib
 import json
@@ -20,7 +20,7 @@ from guidance.study.models import Models
 
 FROZEN = Path(__file__).parent / "frozen.json"  # study_hash and seed of the study
 VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas", "pingouin")
-THE_STUDY = ("users", "guidance", "study", "participants", "opponent")  # with the models, what makes it another one
+STUDY_KEYS = ("users", "guidance", "study", "participants", "opponent")  # these and the models define a study
 
 
 def condition_specs(cfg: DictConfig, warn: Callable[[str], None] = lambda text: None) -> list[ConditionSpec]:
@@ -44,7 +44,7 @@ def load_conditions(cfg: DictConfig) -> list[Condition]:
 
 
 def load_models(cfg: DictConfig, device: str = "cpu") -> Models:
-    """The models of the configuration, to be asked on `device`.
+    """The models of the configuration, evaluated on `device`.
 
     Raises:
         ValueError: a file is missing or broken, or the league has no such generation.
@@ -54,7 +54,7 @@ def load_models(cfg: DictConfig, device: str = "cpu") -> Models:
 
 
 def load_opponent(cfg: DictConfig, device: str = "cpu") -> Player:
-    """The opponent of the configuration, which plays the mean of what it says, asked on `device`.
+    """The opponent of the configuration, which plays its mean action, evaluated on `device`.
 
     Raises:
         ValueError: the file is missing or broken, or the league has no such generation.
@@ -63,16 +63,16 @@ def load_opponent(cfg: DictConfig, device: str = "cpu") -> Player:
 
 
 def file_hashes(cfg: DictConfig, models: Models) -> dict[str, str]:
-    """SHA-256 of every file that a study rests on, by what it is for."""
+    """SHA-256 of every file that a study depends on, by its purpose."""
     files = {"opponents": cfg.models.opponents, "mentors": cfg.users.mentors}
     return models.hashes | {name: sha256(path) for name, path in files.items() if path is not None}
 
 
 def study_hash(cfg: DictConfig, hashes: dict[str, str]) -> str:
-    """The same for runs that may be merged: all that makes a study, but its seed and which conditions are played."""
+    """Hash of all that defines a study except its seed and conditions; runs with equal hashes may be merged."""
     config = OmegaConf.to_container(cfg, resolve=True)
-    shared = {key: config[key] for key in THE_STUDY}
-    shared["users"] = {key: value for key, value in shared["users"].items() if key != "mentors"}  # hashed, like models
+    shared = {key: config[key] for key in STUDY_KEYS}
+    shared["users"] = {key: value for key, value in shared["users"].items() if key != "mentors"}  # hashed as a file
     return hashlib.sha256(json.dumps([shared, hashes], sort_keys=True).encode()).hexdigest()
 
 
@@ -82,7 +82,7 @@ def frozen_study() -> dict[str, Any]:
 
 
 def manifest(cfg: DictConfig, hashes: dict[str, str], command_line: str, seconds: float) -> dict:
-    """What a result came from; `frozen` says whether its configuration, models and seed are the frozen study's."""
+    """The origin of a result; `frozen`: its configuration, models and seed are those of the frozen study."""
     digest, fixed = study_hash(cfg, hashes), frozen_study()
     return {
         "command": command_line,

@@ -1,4 +1,4 @@
-"""Populations that differ from the usual one in what is assumed of it, spread evenly over all that might be assumed."""
+"""Sensitivity analysis: populations whose assumed parameters are varied over a Latin hypercube."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import fields, replace
@@ -11,11 +11,11 @@ from airhockey_marl.experiment.validation import check_counts, check_numbers
 from guidance.simulated_users import Population
 from guidance.simulated_users.population import LogNormal, ScaledBeta, Share
 
-WORTH = "worth."  # parameters of this name are what an intention is worth
+WORTH = "worth."  # prefix of the parameters of the intentions' utilities
 
 
 def latin_hypercube(parameters: Sequence[str], points: int, largest: float, seed: int) -> pd.DataFrame:
-    """Factors between 1 / largest and largest, evenly spread on a logarithmic scale.
+    """Factors between 1 / largest and largest, evenly distributed on a logarithmic scale.
 
     Returns:
         (points, parameters): in each column every one of `points` equal slices of the range occurs once.
@@ -35,11 +35,11 @@ def latin_hypercube(parameters: Sequence[str], points: int, largest: float, seed
 def scale_assumptions(population: Population, factors: Mapping[str, float]) -> Population:
     """The population with each named parameter multiplied by its factor.
 
-    Of a law, its median and the limits it is clipped to; of a share, what it is scaled by; no share exceeds 1. What an
-    intention is worth, `worth.<name>`, has no zero that means anything: ln(factor) is added to it.
+    Of a distribution, the median and the limits are multiplied; a share is limited to 1. The utility of an intention,
+    `worth.<name>`, has no meaningful zero: ln(factor) is added to it.
 
     Raises:
-        ValueError: there is no such parameter.
+        ValueError: a parameter does not exist.
     """
     kinds, changes, worth = {item.name: item.type for item in fields(Population)}, {}, dict(population.worth)
     for name, factor in factors.items():

@@ -1,7 +1,7 @@
-"""The study of section 4: an unscored game without guidance, user adaptation from it, a game per condition, ratings.
+"""The user study (section 4): calibration game, user adaptation, and a game and ratings per condition.
 
-Conditions come in counterbalanced order. Each game's random numbers follow from the seed, the user and the condition:
-neither the other conditions in a run nor other studies played at the same time change a bit of it.
+Conditions come in counterbalanced order. The random numbers of a game follow from the seed, the user and the condition,
+so its results are bit-identical whichever other conditions or studies are played in the same run.
 """
 
 from collections.abc import Callable, Sequence
@@ -13,14 +13,18 @@ import numpy as np
 import pandas as pd
 import torch
 
-from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.players.players import Player
-from guidance.forces.conditions import Condition, GuidanceOutput
-from guidance.simulated_users import Advisors, SimulatedUsers
+from guidance.forces.condition_specs import PAPER_LETTERS
+from guidance.forces.conditions import ADAPTED, Condition, GuidanceOutput
+from guidance.simulated_users import SimulatedUsers
 from guidance.study.batched_guidance import BatchedGuidance
-from guidance.study.games import Forces, no_force, play_games
-from guidance.study.models import Models
-from guidance.study.protocol import CALIBRATION_GAME, PAPER_LETTERS, Protocol, counterbalanced_order, spawn_rng_states
+from guidance.study.games import Forces, Games, no_force, play_games
+from guidance.study.protocol import (
+    CALIBRATION_GAME,
+    RandomStream,
+    counterbalanced_order,
+    spawn_rng_states,
+)
+from guidance.study.setup import StudySetup
 
 
 @dataclass(frozen=True)
@@ -36,88 +40,100 @@ class Cohort:
     seed: int
 
 
-def run_study(people: np.ndarray, *how, seed: int, **more) -> pd.DataFrame:
+def run_study(people: np.ndarray, setup: StudySetup, *, seed: int, **kwargs) -> pd.DataFrame:
     """One study, see `run_studies`."""
-    return run_studies([Cohort(people, seed)], *how, **more)[0]
+    return run_studies([Cohort(people, seed)], setup, **kwargs)[0]
 
 
 def run_studies(
     cohorts: Sequence[Cohort],
-    conditions: Sequence[Condition],
-    models: Models,
-    opponent: Player,
-    lookahead_seconds: float,
-    protocol: Protocol,
-    table: TableSpec,
-    variant: str,
-    mentors: Advisors,
-    rating_scales: dict[str, float],
-    progress: Callable[[str, float], None] = lambda what, share: None,
-    swapped: bool = False,
-    answered: Callable[[GuidanceOutput, np.ndarray], None] = lambda guided, games: None,
+    setup: StudySetup,
+    progress: Callable[[str, float], None] = lambda stage, share: None,
+    shuffled_adaptation: bool = False,
+    on_forces: Callable[[GuidanceOutput, np.ndarray], None] = lambda output, games: None,
 ) -> list[pd.DataFrame]:
-    """Put simulated people through the whole protocol, all studies side by side.
+    """Play several studies side by side with simulated people.
 
     Args:
-        progress: is told what is going on, and the share of it that is done.
-        swapped: for UA, everybody's game is taken for somebody else's: a negative control.
-        answered: is shown every answer to the games (k,), which are ordered condition by condition, as in `BatchedGuidance`.
+        progress: called with the name of a stage and the share of it that is done.
+        shuffled_adaptation: adapt each user model to another participant's calibration game (a negative control of UA).
+        on_forces: called every tick with the guidance of the games (k,), ordered as in `BatchedGuidance`.
 
     Returns:
         Per study one row per user and condition: the columns of `trials.csv`.
     """
-    people = np.concatenate([cohort.people for cohort in cohorts])
-
-    def games_of(games: Sequence[int], forces: Forces, what: str, demonstrations: bool = False):
-        minds, serves = (
-            np.concatenate([spawn_rng_states(c.seed, range(len(c.people)), game, p) for game in games for c in cohorts])
-            for p in (0, 1)
-        )
-        participants = SimulatedUsers(np.tile(people, len(games)), minds, table, variant, mentors)
-        return participants, play_games(
-            participants, opponent, forces, protocol, table, serves, demonstrations, partial(progress, what)
-        )
-
+    conditions, people = setup.conditions, np.concatenate([cohort.people for cohort in cohorts])
+    play = partial(_play, cohorts, setup, progress=progress)
     adapted = None
-    if any("adapted" in condition.guidance.models() for condition in conditions):
-        _, unscored = games_of([CALIBRATION_GAME], no_force, "unscored game", demonstrations=True)
-        adapted = models.adapted_to(unscored.demonstrations)
-        if swapped:
+    if any(ADAPTED in condition.guidance.models() for condition in conditions):
+        _, games = play([CALIBRATION_GAME], no_force, stage="unscored game", keep_demonstrations=True)
+        adapted = setup.models.adapted_to(games.demonstrations)
+        if shuffled_adaptation:
             adapted = adapted[_neighbors([len(cohort.people) for cohort in cohorts])]
-
-    guide = BatchedGuidance(conditions, len(people), models, adapted, lookahead_seconds)
+    guidance = BatchedGuidance(conditions, len(people), setup.models, adapted, setup.lookahead_seconds)
 
     def forces(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> GuidanceOutput:
-        guided = guide(state, action, games)
-        answered(guided, games)
-        return guided
+        output = guidance(state, action, games)
+        on_forces(output, games)
+        return output
 
-    participants, games = games_of([ascii_lowercase.index(c.letter) for c in conditions], forces, "games")
+    numbers = [ascii_lowercase.index(condition.letter) for condition in conditions]
+    participants, games = play(numbers, forces, stage="games")
     columns = {
         **games.results,
-        **participants.ratings(rating_scales),
+        **participants.ratings(setup.rating_scales),
         "rounds": games.rounds,
         "duration_s": games.seconds,
         **games.weights,
     }
-    trials, first = [], 0
-    for cohort in cohorts:
-        rows = np.arange(first, first + len(cohort.people))
-        own = {name: values.reshape(len(conditions), -1)[:, rows] for name, values in columns.items()}
-        trials.append(_table_of(cohort, conditions, own))
-        first += len(cohort.people)
-    return trials
+    columns = {name: values.reshape(len(conditions), -1) for name, values in columns.items()}
+    edges = np.cumsum([0, *(len(cohort.people) for cohort in cohorts)])
+    return [
+        _trials(cohort, conditions, {name: values[:, first:last] for name, values in columns.items()})
+        for cohort, first, last in zip(cohorts, edges[:-1], edges[1:], strict=True)
+    ]
+
+
+def _play(
+    cohorts: Sequence[Cohort],
+    setup: StudySetup,
+    numbers: Sequence[int],
+    forces: Forces,
+    stage: str,
+    progress: Callable[[str, float], None],
+    keep_demonstrations: bool = False,
+) -> tuple[SimulatedUsers, Games]:
+    """Play the games of these numbers with everybody, game by game, and return the participants too."""
+    user_states, table_states = (
+        np.concatenate(
+            [spawn_rng_states(c.seed, range(len(c.people)), number, purpose) for number in numbers for c in cohorts]
+        )
+        for purpose in (RandomStream.USER, RandomStream.TABLE)
+    )
+    people = np.concatenate([cohort.people for cohort in cohorts])
+    participants = setup.simulated_users(np.tile(people, len(numbers)), user_states)
+    games = play_games(
+        participants,
+        setup.opponent,
+        forces,
+        setup.protocol,
+        setup.table,
+        table_states,
+        keep_demonstrations,
+        partial(progress, stage),
+    )
+    return participants, games
 
 
 def _neighbors(sizes: Sequence[int]) -> torch.Tensor:
-    """For everybody the number of the person before in the same cohort, for its first person the last."""
+    """For each person the index of the previous one in the same cohort; for its first person, of the last."""
     firsts = np.cumsum([0, *sizes[:-1]])
     return torch.from_numpy(
         np.concatenate([first + np.roll(np.arange(n), 1) for first, n in zip(firsts, sizes, strict=True)])
     )
 
 
-def _table_of(cohort: Cohort, conditions: Sequence[Condition], columns: dict[str, np.ndarray]) -> pd.DataFrame:
+def _trials(cohort: Cohort, conditions: Sequence[Condition], columns: dict[str, np.ndarray]) -> pd.DataFrame:
     """`trials.csv` of a study from columns (conditions, users)."""
     users = len(cohort.people)
     position = counterbalanced_order(users, len(PAPER_LETTERS), cohort.seed)
@@ -130,6 +146,6 @@ def _table_of(cohort: Cohort, conditions: Sequence[Condition], columns: dict[str
             row["position"] = position[u, nth] if nth >= 0 else len(PAPER_LETTERS) + 1 + beyond.index(condition.letter)
             row |= {name: values[c, u] for name, values in columns.items()}
             if condition.letter == "a":
-                row["mean_disagreement"] = np.nan  # there is no force to disagree with (section 5.2)
+                row["mean_disagreement"] = np.nan  # undefined without a force (section 5.2)
             rows.append(row | {"seed": cohort.seed})
     return pd.DataFrame(rows)

@@ -1,6 +1,6 @@
-"""A row per tick of one person's game: what they saw, what the models said, how they were pushed, what they did.
+"""The tick table of one participant's game: state, predictions, force and action of every tick.
 
-Films are drawn from such a table, replays are played from it, and user adaptation learns from it.
+Films and replays are made from it, and user adaptation learns from it.
 """
 
 from collections.abc import Mapping
@@ -35,8 +35,8 @@ _PADDLES = {
     )
 }
 _TARGETS = {
-    f"{model}{part}_{axis}": (f"what {who} says of the looked-ahead state: {what} of the action, {axis}", "action")
-    for model, who in (
+    f"{model}{part}_{axis}": (f"what {name} says of the looked-ahead state: {what} of the action, {axis}", "action")
+    for model, name in (
         ("optimal", "the optimal action model"),
         ("predicted", "the user model, adapted if there is one"),
     )
@@ -68,19 +68,19 @@ _MEANINGS = {
 COLUMNS = MappingProxyType(
     {name: {"Description": meaning, "Units": unit} for name, (meaning, unit) in _MEANINGS.items()}
 )
-"""What the columns mean; all but those about the goal and the action are of the beginning of the tick."""
+"""Description and unit of every column; all but goal and action are of the beginning of the tick."""
 
 
 @dataclass
 class PredictionTap:
-    """A guidance whose targets can be looked at: it keeps the last ones, and asks models that it may not need."""
+    """A guidance that records its last predictions, also of models that the force does not depend on."""
 
     guidance: Guidance
-    asked: frozenset[str]
+    queries: frozenset[str]
     targets: Mapping[str, Prediction] = field(default_factory=dict)
 
     def models(self) -> frozenset[str]:
-        return self.guidance.models() | self.asked
+        return self.guidance.models() | self.queries
 
     def __call__(self, state: Tensor, hand: Tensor, predictions: Mapping[str, Prediction]) -> GuidanceOutput:
         self.targets = predictions
@@ -88,17 +88,17 @@ class PredictionTap:
 
     @property
     def optimal(self) -> Prediction:
-        """What the optimal action model said last, (1, 2) each."""
+        """The last prediction of the optimal action model, (1, 2) each."""
         return self.targets[OPTIMAL]
 
     @property
     def predicted(self) -> Prediction:
-        """What the user model said last, the adapted one if it was asked."""
+        """The last prediction of the user model, of the adapted one if there is one."""
         return self.targets[ADAPTED if ADAPTED in self.targets else USER]
 
 
 def scene_facts(condition: Condition, player: str, opponent: str, adapted: bool) -> dict[str, Any]:
-    """What a film of a game under a condition says about it, see `guidance.display.film.FilmInfo`; plain JSON."""
+    """JSON description of a game for its film, see `guidance.display.film.FilmInfo`."""
     used = sorted({"optimal" if model == OPTIMAL else "predicted" for model in condition.guidance.models()})
     return {"title": condition.label, "player": player, "opponent": opponent, "used": used, "adapted": adapted}
 
@@ -106,33 +106,33 @@ def scene_facts(condition: Condition, player: str, opponent: str, adapted: bool)
 def tapped_guidance(
     condition: Condition, models: Models, adapted: TensorDict | None, lookahead_seconds: float
 ) -> tuple[BatchedGuidance, PredictionTap]:
-    """The `BatchedGuidance` of one person under one condition, and where its targets can be looked at.
+    """The `BatchedGuidance` of one person under one condition, and the tap of its predictions.
 
     Args:
-        adapted: their own parameters of the user model, batch size (1,), if they have any.
+        adapted: the person's own parameters of the user model, batch size (1,), or None.
     """
-    overheard = PredictionTap(condition.guidance, frozenset({OPTIMAL, USER if adapted is None else ADAPTED}))
-    return BatchedGuidance([replace(condition, guidance=overheard)], 1, models, adapted, lookahead_seconds), overheard
+    tap = PredictionTap(condition.guidance, frozenset({OPTIMAL, USER if adapted is None else ADAPTED}))
+    return BatchedGuidance([replace(condition, guidance=tap)], 1, models, adapted, lookahead_seconds), tap
 
 
 class TickLog:
-    """Writes down the ticks of one person's game.
+    """Records the ticks of one person's game.
 
     Args:
         tick_seconds: s.
-        hand: whose force and grip are written down; where nothing is between guidance and hand, None.
+        hand: recorded for its force and grip; None if the guidance acts on the hand directly.
 
     Attributes:
-        rows: one per tick, see `COLUMNS`; those that have not been taken.
-        time, round, won, lost, scored: how it stands.
+        rows: one per tick since the last `take`, see `COLUMNS`.
+        time, round, won, lost, scored: the state of the game.
     """
 
-    def __init__(self, overheard: PredictionTap, tick_seconds: float, hand: HapticHand | None = None) -> None:
-        self.overheard, self.tick_seconds, self.hand, self.rows = overheard, tick_seconds, hand, []
+    def __init__(self, tap: PredictionTap, tick_seconds: float, hand: HapticHand | None = None) -> None:
+        self.tap, self.tick_seconds, self.hand, self.rows = tap, tick_seconds, hand, []
         self.time, self.round, self.won, self.lost, self.scored = 0.0, 1, 0, 0, False
 
     def __call__(self, tick: GameStep, scored: bool, ended: bool) -> dict[str, float]:
-        """Write down a tick of a game that counts or not, and whether the round ended with it; returns its row."""
+        """Record a tick, whether it is scored and whether the round ended with it; returns its row."""
         if scored and not self.scored:
             self.time, self.round, self.won, self.lost, self.scored = 0.0, 1, 0, 0, True
         goal = int(tick.goals[0])
@@ -141,10 +141,10 @@ class TickLog:
         row: dict[str, float] = {"time_s": round(self.time, 6), "scored": int(scored), "round": self.round}
         row |= {"won": self.won, "lost": self.lost, "goal": goal}
         row |= {"held": 1 if self.hand is None else int(self.hand.is_held)}
-        optimal, predicted = self.overheard.optimal, self.overheard.predicted
+        optimal, predicted = self.tap.optimal, self.tap.predicted
         pairs = {"hand": HAND_REACH * tick.before[0], "optimal": optimal.mean[0], "optimal_std": optimal.std[0]}
         pairs |= {"predicted": predicted.mean[0], "predicted_std": predicted.std[0]}
-        force = tick.guided.force[0]
+        force = tick.guidance.force[0]
         pairs |= {"force": force, "felt": force if self.hand is None else self.hand.force, "action": tick.action[0]}
         row |= {
             f"{name}_{axis}": float(value)
@@ -152,23 +152,23 @@ class TickLog:
             for axis, value in zip("xy", pair, strict=True)
         }
         row |= dict(zip(STATE, tick.state[0].tolist(), strict=True))
-        weights = zip(("w_unc_optimal", "w_unc_predicted", "w_sim"), tick.guided[1:], strict=True)
+        weights = zip(("w_unc_optimal", "w_unc_predicted", "w_sim"), tick.guidance[1:], strict=True)
         row |= {name: float("nan") if weight is None else float(weight[0]) for name, weight in weights}
         self.rows.append({name: row[name] for name in COLUMNS})
         self.round += ended
         return self.rows[-1]
 
     def take(self) -> list[dict[str, float]]:
-        """The rows that have not been taken yet."""
+        """Return the rows since the last call, and forget them."""
         rows, self.rows = self.rows, []
         return rows
 
 
 def read_ticks(file: Path | str) -> pd.DataFrame:
-    """The table of a game that was recorded.
+    """The table of a recorded game.
 
     Raises:
-        ValueError: it is missing, or lacks a column of `COLUMNS`; the message names the file.
+        ValueError: the file is missing or lacks a column of `COLUMNS`; the message names it.
     """
     if not Path(file).is_file():
         raise ValueError(f"no such file: {file}")
@@ -179,6 +179,6 @@ def read_ticks(file: Path | str) -> pd.DataFrame:
 
 
 def demonstration(ticks: pd.DataFrame) -> tuple[Tensor, Tensor]:
-    """What user adaptation learns from: observations (ticks, 12) and actions (ticks, 2), float32, of what counted."""
-    counted = ticks[ticks["scored"] == 1]
-    return tuple(torch.from_numpy(counted[names].to_numpy(dtype=np.float32, copy=True)) for names in (STATE, ACTION))
+    """Observations (ticks, 12) and actions (ticks, 2), float32, of the scored play: the input of user adaptation."""
+    scored = ticks[ticks["scored"] == 1]
+    return tuple(torch.from_numpy(scored[names].to_numpy(dtype=np.float32, copy=True)) for names in (STATE, ACTION))

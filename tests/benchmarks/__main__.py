@@ -14,7 +14,6 @@ import time
 from collections.abc import Callable
 from contextlib import closing
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -27,18 +26,14 @@ from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.world import AGENTS, World
 from airhockey_marl.experiment.command import CONF
-from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League
 from airhockey_marl.league.opponent_sampling import OPPONENT_SAMPLERS
-from airhockey_marl.players.inference import greedy_player
 from airhockey_marl.players.networks import USER_PREDICTION_HIDDEN, GaussianPolicy
 from airhockey_marl.self_play.collectors import MULTISYNC, CollectorConfig, RolloutWorkers
 from airhockey_marl.self_play.league_training import train_league
 from guidance.commands.meta_train import COMPILERS
 from guidance.simulated_users import SimulatedUsers, load_advisors, personal_streams, sample_people
-from guidance.study.models import Models
-from guidance.study.protocol import Protocol
-from guidance.study.provenance import load_conditions
+from guidance.study.setup import load_setup
 from guidance.study.study import run_study
 from guidance.user_model.loss import prediction_loss
 from guidance.user_model.maml import forward, meta_loss, parameters
@@ -195,24 +190,11 @@ def people_tick(n: int, ticks: int = 200) -> float:
 def study() -> float:
     """Time in s of the default study: 20 users, nine conditions, the shipped models."""
     cfg = config("evaluate")
-    models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
-    run = partial(
-        run_study,
-        conditions=load_conditions(cfg),
-        models=models,
-        opponent=greedy_player(League.load(cfg.models.opponents).player(cfg.opponent)),
-        lookahead_seconds=cfg.guidance.lookahead,
-        table=TableSpec(),
-        variant=cfg.users.variant,
-        mentors=load_advisors(cfg.users.mentors),
-        rating_scales=dict(cfg.users.scales),
-        seed=cfg.seed,
-    )
-    run(
-        sample_people(1, 0), protocol=replace(construct(Protocol, cfg.study, "study"), rounds=1, min_seconds=0)
-    )  # compile
+    setup = load_setup(cfg)
+    brief = replace(setup, protocol=replace(setup.protocol, rounds=1, min_seconds=0))
+    run_study(sample_people(1, 0), brief, seed=cfg.seed)  # compile
     began = time.perf_counter()
-    run(sample_people(cfg.participants, cfg.seed), protocol=construct(Protocol, cfg.study, "study"))
+    run_study(sample_people(cfg.participants, cfg.seed), setup, seed=cfg.seed)
     return time.perf_counter() - began
 
 

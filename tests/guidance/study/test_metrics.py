@@ -13,10 +13,10 @@ MINE, THEIRS = 1, 2
 
 def play(*ticks: dict) -> dict[str, float]:
     """Enter a game of ticks, each: puck before and after (x, y, vx, vy), who touched, goal, served, disagreement."""
-    sheets = new_counters(1)
+    counters = new_counters(1)
     for entry in ticks:
         record(
-            sheets,
+            counters,
             np.flatnonzero([entry.get("scored", True)]),
             np.array([entry["before"]], dtype=float),
             np.array([entry["after"]], dtype=float),
@@ -26,7 +26,7 @@ def play(*ticks: dict) -> dict[str, float]:
             np.array([entry.get("disagreed", 0.0)]),
             TABLE,
         )
-    return {name: values[0] for name, values in metric_values(sheets).items()}
+    return {name: values[0] for name, values in metric_values(counters).items()}
 
 
 COMING, SAVED = (-0.3, 0.0, -2.0, 0.0), (-0.5, 0.0, 2.0, 0.5)

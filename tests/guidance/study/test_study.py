@@ -1,4 +1,4 @@
-"""The protocol of section 4.2, with people, models and tables in it."""
+"""The protocol of section 4.2 with simulated people, models and tables."""
 
 from collections import Counter
 from dataclasses import replace
@@ -18,6 +18,7 @@ from guidance.study.batched_guidance import BatchedGuidance
 from guidance.study.games import no_force, play_games
 from guidance.study.models import Models
 from guidance.study.protocol import Protocol, counterbalanced_order, is_balanced, spawn_rng_states, williams_design
+from guidance.study.setup import StudySetup
 from guidance.study.study import Cohort, run_studies, run_study
 
 SHORT = Protocol(familiarization=0.2, rounds=2, extra_rounds=1, min_seconds=4, round_seconds=3)
@@ -45,12 +46,15 @@ def opponent(observation: torch.Tensor) -> torch.Tensor:
     return torch.stack([torch.full((len(observation),), -0.8), (2 * observation[:, 9]).clamp(-0.3, 0.3)], dim=1)
 
 
-def study(models, conditions, protocol=SHORT, people=3, seed=0, **kwargs):
-    people, how = sample_people(people, 100), (TableSpec(), "V1", NO_ADVISORS, SCALES)
-    return run_study(people, conditions, models, opponent, 0.1, protocol, *how, seed=seed, **kwargs)
+def setup_of(models, conditions, protocol=SHORT) -> StudySetup:
+    return StudySetup(conditions, models, opponent, 0.1, protocol, "V1", NO_ADVISORS, SCALES)
 
 
-def test_the_same_seed_gives_the_same_trials(models):
+def study(models, conditions, protocol=SHORT, people=3, seed=0):
+    return run_study(sample_people(people, 100), setup_of(models, conditions, protocol), seed=seed)
+
+
+def test_equal_seeds_give_equal_trials(models):
     first = study(models, [NHG, COMBHG])
     assert first.equals(study(models, [NHG, COMBHG]))
     assert not first.equals(study(models, [NHG, COMBHG], seed=1))
@@ -76,18 +80,19 @@ def test_a_condition_is_played_alike_alone_and_among_others(models):
 def test_a_study_is_played_alike_alone_and_beside_others(models):
     """A hundred people are enough for the kernels to run on several threads."""
     cohorts = [Cohort(sample_people(n, n), n) for n in (3, 100, 4)]
-    how = ([NHG, OAHG, COMBHG], models, opponent, 0.1, SHORT, TableSpec(), "V1", NO_ADVISORS, SCALES)
-    for cohort, trials in zip(cohorts, run_studies(cohorts, *how), strict=True):
-        assert trials.equals(run_studies([cohort], *how)[0])
+    setup = setup_of(models, [NHG, OAHG, COMBHG])
+    for cohort, trials in zip(cohorts, run_studies(cohorts, setup), strict=True):
+        assert trials.equals(run_studies([cohort], setup)[0])
 
 
-def test_swapped_demonstrations_change_ua_and_nothing_else(models):
+def test_shuffled_adaptation_changes_ua_and_nothing_else(models):
     cohorts = [Cohort(sample_people(n, n), n) for n in (3, 2)]
-    how = ([NHG, OAHG, UPHG_UA], models, opponent, 0.1, SHORT, TableSpec(), "V1", NO_ADVISORS, SCALES)
-    for own, swapped in zip(run_studies(cohorts, *how), run_studies(cohorts, *how, swapped=True), strict=True):
+    setup = setup_of(models, [NHG, OAHG, UPHG_UA])
+    pairs = zip(run_studies(cohorts, setup), run_studies(cohorts, setup, shuffled_adaptation=True), strict=True)
+    for own, shuffled in pairs:
         ua = own["condition"] == "uphg_ua"
-        assert own[~ua].equals(swapped[~ua])
-        assert (own.loc[ua, "mean_disagreement"] != swapped.loc[ua, "mean_disagreement"]).all()
+        assert own[~ua].equals(shuffled[~ua])
+        assert (own.loc[ua, "mean_disagreement"] != shuffled.loc[ua, "mean_disagreement"]).all()
 
 
 def test_nine_orders_are_balanced_over_multiples_of_eighteen():
@@ -163,7 +168,7 @@ def test_guidance_really_guides():
     assert shift[0] > 0.02 and shift[1] < -0.02
 
 
-def test_guide_rows_are_conditions_by_users(models):
+def test_batched_guidance_is_ordered_by_condition_then_user(models):
     guide = BatchedGuidance(
         [NHG, OAHG, COMBHG], 4, models, models.adapted_to([(torch.randn(9, 12), torch.randn(9, 2))] * 4), 0.0
     )
@@ -177,7 +182,7 @@ def test_guide_rows_are_conditions_by_users(models):
     assert guided.w_sim[:8].isnan().all() and guided.w_sim[8:].isfinite().all()
 
 
-def test_adaptation_is_needed_where_ua_is():
+def test_adapted_parameters_are_required_by_ua():
     torch.manual_seed(0)
     model = GaussianPolicy([4])
     with pytest.raises(ValueError, match="adapted"):
