@@ -1,1 +1,1 @@
-"""The parts of this package at work on other problems than air hockey."""
+"""The forces and the meta-learning of this package on other tasks than air hockey."""

@@ -1,9 +1,9 @@
-"""MAML's own example with `guidance.user_model.maml`: learn to learn sine curves from ten points (Finn et al. 2017, section 5.1).
+"""The sinusoid regression of Finn et al. (2017, section 5.1) with `guidance.user_model.maml`: curves from ten points.
 
     python -m guidance.examples.sinusoid            10,000 meta-steps, a minute or two
     python -m guidance.examples.sinusoid 70000      as many as in the original
 
-Prints the mean squared error on curves never trained on, before and after steps of adaptation.
+Prints the mean squared error on unseen curves before and after steps of adaptation.
 """
 
 import math
@@ -57,14 +57,14 @@ def train(model: nn.Module, meta_steps: int, generator: Generator) -> None:
 
 @torch.no_grad()
 def errors_after(model: nn.Module, steps: list[int], curves: int = 600, seed: int = 2) -> dict[int, float]:
-    """Mean squared error on 100 new points of unseen curves, by steps of adaptation to ten points."""
+    """Mean squared error on 100 new points of unseen curves, by number of adaptation steps on ten points."""
     params, loss = parameters(model), partial(error, model)
     demo, valid = sinusoids(curves, Generator().manual_seed(seed), valid=100)
-    found = {}
+    errors = {}
     for count in steps:
         adapted = adapt_stacked(params, loss, demo, INNER_LR, count) if count else params.expand(curves)
-        found[count] = torch.vmap(loss)(adapted, valid).mean().item()
-    return found
+        errors[count] = torch.vmap(loss)(adapted, valid).mean().item()
+    return errors
 
 
 def main() -> None:

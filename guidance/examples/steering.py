@@ -2,13 +2,12 @@
 
     python -m guidance.examples.steering
 
-A point wanders over the desk and the hand is to stay with it. The optimal action needs no learning here: it is the
-point's own place (a fixed reference). People have their ways, though: they cut corners, run ahead or lag behind, and
-keep to one side. UPHG learns those from nine of them with MAML (Eq. 2) and adapts to each of twenty others with one
-gradient step on half a minute of play (Eq. 1). It is taught where the hand will be in .2 s, rather than asked about a
-looked-ahead state: at once a hand is where its velocity takes it, whosever it is. OAHG, UPHG and both, with and without
-SC (Eq. 6, 7), push the hand with the spring of Eq. 4. Prints how well people are predicted, how far from the point the
-hand is, and how much the force is against the hand's own motion.
+The hand is to follow a moving point. The optimal action needs no learning here: it is the position of the point. Users
+differ: they cut corners, run ahead or lag behind, and keep to one side. UPHG learns this from nine users with MAML
+(Eq. 2) and adapts to each of twenty others with one gradient step on half a minute of play (Eq. 1). It is trained to
+predict the hand .2 s ahead instead of being evaluated at a looked-ahead state, because in the short term every hand
+follows its velocity. OAHG, UPHG and CombHG, with and without SC (Eq. 6, 7), push the hand with the spring of Eq. 4.
+Prints the prediction error, the distance of the hand from the point, and the disagreement.
 """
 
 from functools import partial
@@ -24,17 +23,17 @@ from guidance.user_model.maml import adapt_stacked, forward, forward_stacked, me
 
 TICK, SUBSTEPS = 0.02, 10  # s, and steps of the arm in one
 STIFFNESS, LIMIT, LOOKAHEAD = 40.0, 3.0, 0.1  # N/m, N, s: K T_lookahead is 0.8 of the least damping of a hand, 5 N s/m
-AHEAD = 10  # ticks after the state, at which UPHG predicts the hand
+AHEAD = 10  # prediction horizon of UPHG, ticks
 INNER_LR, OUTER_LR, META_STEPS, BLOCK = 0.002, 0.002, 1500, 1000
 TRAINING, PARTICIPANTS = 9, 20
 
 
 class People:
-    """n people with a hand at the desk: a spring and a damper toward where they want it to be.
+    """n users, whose hands are pulled by a spring and a damper toward the intended position.
 
     Args:
-        n: how many.
-        generator: draws who they are, and their noise.
+        n: number of users.
+        generator: of their parameters and noise.
     """
 
     def __init__(self, n: int, generator: Generator) -> None:
@@ -42,25 +41,25 @@ class People:
             return low + (high - low) * torch.rand(n, *shape, generator=generator)
 
         self.generator = generator
-        self.cut = uniform(0.6, 1.05, 2)  # share of the path's size that they follow, per axis
-        self.early = uniform(-0.12, 0.12, 1)  # s that they run ahead
+        self.cut = uniform(0.6, 1.05, 2)  # share of the path's amplitude that they follow, per axis
+        self.early = uniform(-0.12, 0.12, 1)  # s, lead over the point
         self.aside = uniform(-0.008, 0.008, 2)  # m
         self.arm = uniform(100.0, 250.0, 1), uniform(5.0, 12.0, 1)  # N/m, N s/m; the hand weighs 1 kg
         self.hand, self.velocity = torch.zeros(n, 2), torch.zeros(n, 2)
 
     def step(self, point: Tensor, force: Tensor) -> None:
-        """A tick: see the point (n, 4), feel the force (n, 2) in N, move the hand."""
-        wanted = self.cut * (point[:, :2] + self.early * point[:, 2:]) + self.aside
-        wanted = wanted + 0.003 * torch.randn(wanted.shape, generator=self.generator)
+        """Advance by a tick, given the points (n, 4) and forces (n, 2) in N."""
+        intended = self.cut * (point[:, :2] + self.early * point[:, 2:]) + self.aside
+        intended = intended + 0.003 * torch.randn(intended.shape, generator=self.generator)
         stiffness, damping = self.arm
         for _ in range(SUBSTEPS):
-            pull = stiffness * (wanted - self.hand) - damping * self.velocity + force
+            pull = stiffness * (intended - self.hand) - damping * self.velocity + force
             self.velocity = self.velocity + TICK / SUBSTEPS * pull
             self.hand = self.hand + TICK / SUBSTEPS * self.velocity
 
 
 def paths(n: int, ticks: int, generator: Generator) -> Tensor:
-    """Points (ticks, n, 4) with place in m and velocity in m/s: sums of three slow sines per axis."""
+    """Points (ticks, n, 4) with position in m and velocity in m/s: sums of three slow sines per axis."""
     time = TICK * torch.arange(ticks)[:, None, None, None]
     speed = 0.5 + 2.0 * torch.rand(n, 2, 3, generator=generator)  # rad/s
     phase = 2 * torch.pi * torch.rand(n, 2, 3, generator=generator)
@@ -71,7 +70,7 @@ def paths(n: int, ticks: int, generator: Generator) -> Tensor:
 
 
 class UserModel(nn.Module):
-    """Hand and point (..., 8) -> mean and STD (..., 2) of where this person will have the hand, in m."""
+    """Hand and point (..., 8) -> mean and STD (..., 2) of the future hand position, in m."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -84,17 +83,17 @@ class UserModel(nn.Module):
 
 
 def loss(model: nn.Module, params, data: tuple[Tensor, Tensor]) -> Tensor:
-    """Eq. 3, in units of 5 cm: so it is of the size it has in air hockey."""
+    """Eq. 3 in units of 5 cm, to have the magnitude it has in air hockey."""
     mean, std = forward(model, params, data[0])
     return prediction_loss(mean / 0.05, std / 0.05, data[1] / 0.05)
 
 
 @torch.no_grad()
 def play(people: People, path: Tensor, guidance=None) -> dict[str, Tensor]:
-    """Let people follow their points (ticks, n, 4).
+    """Follow the points (ticks, n, 4).
 
     Returns:
-        `state` (n, ticks, 8) at the beginning of each tick but the last, and `action` (n, ticks, 2), where the hand is
+        `state` (n, ticks, 8) at the beginning of each tick but the last, and `action` (n, ticks, 2), the hand
         AHEAD ticks later; `error` (n,) m from the point, root mean square; `disagreement` (n,) N, mean.
     """
     people.hand, people.velocity = path[0, :, :2].clone(), torch.zeros_like(people.hand)
@@ -116,7 +115,7 @@ def play(people: People, path: Tensor, guidance=None) -> dict[str, Tensor]:
 
 
 def meta_train(model: nn.Module, generator: Generator) -> None:
-    """MAML on what nine people do without guidance: D_demo is a block of one game, D_valid of another."""
+    """MAML on unguided play of nine users: D_demo is a block of one game, D_valid of another."""
     people = People(TRAINING, generator)
     games = [play(people, paths(TRAINING, 2 * BLOCK, generator)) for _ in range(4)]
     params, optimizer = parameters(model), torch.optim.Adam(model.parameters(), OUTER_LR)
@@ -136,40 +135,40 @@ def meta_train(model: nn.Module, generator: Generator) -> None:
 def guidances(model: nn.Module, adapted) -> dict:
     """The guidances by name: states (n, 8) -> forces (n, 2)."""
 
-    def oahg(state: Tensor) -> Tensor:  # toward where the point will be
+    def oahg(state: Tensor) -> Tensor:  # toward the looked-ahead point
         return spring_force(state[:, :2], lookahead_state(state, LOOKAHEAD)[:, 4:6], STIFFNESS, LIMIT)
 
-    def uphg(state: Tensor) -> Tensor:  # toward where this person will have the hand
+    def uphg(state: Tensor) -> Tensor:  # toward the predicted hand
         mean, _ = forward_stacked(model, adapted, state[:, None])
         return spring_force(state[:, :2], mean[:, 0], STIFFNESS, LIMIT)
 
-    def both(state: Tensor) -> Tensor:
+    def combhg(state: Tensor) -> Tensor:
         return combine(oahg(state), uphg(state))
 
-    def similar(state: Tensor) -> Tensor:
+    def combhg_sc(state: Tensor) -> Tensor:
         one, other = oahg(state), uphg(state)
         return similarity_weight(one, other)[:, None] * combine(one, other)
 
-    return {"NHG": None, "OAHG": oahg, "UPHG (UA)": uphg, "CombHG (UA)": both, "CombHG (UA+SC)": similar}
+    return {"NHG": None, "OAHG": oahg, "UPHG (UA)": uphg, "CombHG (UA)": combhg, "CombHG (UA+SC)": combhg_sc}
 
 
 @torch.no_grad()
 def prediction_errors(model: nn.Module, adapted, game: dict[str, Tensor]) -> dict[str, float]:
-    """Root mean square error in m of the model before UA, after, and after UA to the neighbor, in a new game."""
+    """Root mean square error in m in a new game: before UA, after UA, and after UA to another user."""
 
     def error(mean: Tensor) -> float:
         return (mean - game["action"]).square().sum(-1).mean().sqrt().item()
 
-    said = forward_stacked(model, adapted, game["state"])[0]
+    own = forward_stacked(model, adapted, game["state"])[0]
     neighbors = forward_stacked(model, adapted[torch.arange(len(adapted)) - 1], game["state"])[0]
-    return {"before UA": error(model(game["state"])[0]), "after": error(said), "somebody else's": error(neighbors)}
+    return {"before UA": error(model(game["state"])[0]), "after": error(own), "somebody else's": error(neighbors)}
 
 
 def run(seed: int = 0, seconds: float = 60.0) -> tuple[dict[str, float], dict[str, dict[str, np.ndarray]]]:
-    """Train, adapt, and let twenty people play a game under each guidance.
+    """Train, adapt to twenty users, and play a game under each guidance.
 
     Returns:
-        How well they are predicted, see `prediction_errors`; and per guidance `error` and `disagreement` (people,).
+        Errors of the model, see `prediction_errors`; and per guidance `error` and `disagreement` (people,).
     """
     generator = Generator().manual_seed(seed)
     torch.manual_seed(seed)
@@ -181,9 +180,9 @@ def run(seed: int = 0, seconds: float = 60.0) -> tuple[dict[str, float], dict[st
         data = demo["state"], demo["action"]
         adapted = adapt_stacked(parameters(model), partial(loss, model), data, INNER_LR)
     path = paths(PARTICIPANTS, round(seconds / TICK), generator)
-    found = {name: play(people, path, guidance) for name, guidance in guidances(model, adapted).items()}
-    measures = {name: {key: game[key].numpy() for key in ("error", "disagreement")} for name, game in found.items()}
-    return prediction_errors(model, adapted, found["NHG"]), measures
+    games = {name: play(people, path, guidance) for name, guidance in guidances(model, adapted).items()}
+    measures = {name: {key: game[key].numpy() for key in ("error", "disagreement")} for name, game in games.items()}
+    return prediction_errors(model, adapted, games["NHG"]), measures
 
 
 def main() -> None:
