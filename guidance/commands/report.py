@@ -6,13 +6,16 @@ group stands beside it, such as simulated people beside people, with beside.png 
 """
 
 from pathlib import Path
+from typing import Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import InputError, command, report_input_errors
+from guidance.statistics.groups import Group
 from guidance.statistics.paper import count_findings
-from guidance.statistics.report import _files, _places, gather, screen_table, write_report
+from guidance.statistics.report import screen_table, write_report
+from guidance.statistics.runs import gather
 
 
 @command("report")
@@ -31,7 +34,7 @@ def main(cfg: DictConfig) -> None:
             named = ", ".join(file for file, digest in _files(beside).items() if digest in same)
             raise ValueError(f"beside = {cfg.beside} has the same games as runs = {cfg.runs}: {named}")
     write_report(group.trials, folder, group.manifest, beside)
-    print(screen_table(group.trials, group.people))
+    print(screen_table(group.trials, group.people, group.declared))
     counts = count_findings(group.comparison)
     everything, others = counts.loc["all"], counts.loc["none"]
     print(f"\n{everything.replicated} of the paper's 38 findings replicate ({everything.tested} tested),", end=" ")
@@ -40,6 +43,14 @@ def main(cfg: DictConfig) -> None:
         everything = count_findings(beside.comparison).loc["all"]
         print(f"beside: {everything.replicated} replicate ({everything.tested} tested), {everything.reversed} reversed")
     print(f"report: {folder / 'report.html'}")
+
+
+def _places(runs: Any) -> list[str]:
+    return [runs] if isinstance(runs, str) else list(runs)
+
+
+def _files(group: Group) -> dict[str, str]:
+    return group.manifest["trials_sha256"]
 
 
 if __name__ == "__main__":

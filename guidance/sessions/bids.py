@@ -29,7 +29,7 @@ from guidance.sessions.json_files import load_json, save_json, save_text
 from guidance.sessions.participant import Participant, check_label
 from guidance.sessions.recording import Recording, recover_games
 from guidance.simulated_users.ratings import RATINGS
-from guidance.statistics.tests import CONDITIONS
+from guidance.statistics.design import CONDITIONS
 
 TRIALS = ["user", "condition", "position", *OBJECTIVE, *RATINGS, *RESULTS[len(OBJECTIVE) :], "seed"]
 UNAMBIGUOUS = "23456789BCDFGHJKMNPQRSTVWXYZ"  # without 0 and O, 1, I and L, and vowels, which make words

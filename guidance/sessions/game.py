@@ -12,7 +12,7 @@ import pandas as pd
 from guidance.forces.conditions import GuidanceOutput
 from guidance.sessions.json_files import load_json, save_json
 from guidance.simulated_users.ratings import RATINGS
-from guidance.statistics.tests import METRICS
+from guidance.statistics.design import METRICS
 
 UNSCORED = "unscored"  # name of the game without guidance for user adaptation
 OBJECTIVE = tuple(name for name, metric in METRICS.items() if metric.kind == "objective")

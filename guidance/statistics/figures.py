@@ -20,8 +20,8 @@ from airhockey_marl.experiment.plotting import (
     label_panel,
     new_figure,
 )
+from guidance.statistics.design import BEYOND, METRICS, Condition, Metric, conditions_of
 from guidance.statistics.paper import EVIDENCE
-from guidance.statistics.tests import BEYOND, METRICS, Condition, Metric, conditions_of
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -40,7 +40,17 @@ def confidence_half_width(scores: pd.DataFrame) -> pd.Series:
     return scores.sem() * t.isf(0.025, (n - 1).where(n > 1))
 
 
-def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = (), people: bool = False) -> Figure:
+def color_of(condition: Condition) -> str:
+    """The color of a condition's bars, by its type of guidance unless it has its own."""
+    return condition.color or COLORS[condition.guidance]
+
+
+def figure6(
+    trials: pd.DataFrame,
+    withdrawn: Collection[str] = (),
+    people: bool = False,
+    declared: Mapping[str, Condition] | None = None,
+) -> Figure:
     """Draw the paper's Figure 6 (section 5).
 
     Args:
@@ -55,7 +65,7 @@ def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = (), people: bool 
     """
     from matplotlib.patches import Patch
 
-    present = conditions_of(trials)
+    present = conditions_of(trials, declared)
     figure = new_figure(13.5, 6.6)
     panels = figure.subplots(2, 4).flat
     for axes, (name, metric) in zip(panels, METRICS.items(), strict=True):
@@ -68,7 +78,7 @@ def figure6(trials: pd.DataFrame, withdrawn: Collection[str] = (), people: bool 
             people,
         )
     legend = [
-        Patch(color=COLORS[condition.guidance], label=f"({condition.letter}) {condition.label}")
+        Patch(color=color_of(condition), label=f"({condition.letter}) {condition.label}")
         for condition in present.values()
     ]
     style = {"frameon": False, "fontsize": 8.5, "handlelength": 1.1, "columnspacing": 1.4, "handletextpad": 0.5}
@@ -82,7 +92,7 @@ def _draw_bars(
     """Draw one panel; scores (participants, conditions)."""
     places = np.arange(len(conditions))
     mean, half = scores.mean().to_numpy(), confidence_half_width(scores).to_numpy()
-    axes.bar(places, mean, width=0.72, color=[COLORS[condition.guidance] for condition in conditions])
+    axes.bar(places, mean, width=0.72, color=[color_of(condition) for condition in conditions])
     known = np.isfinite(half)
     axes.errorbar(places[known], mean[known], half[known], fmt="none", ecolor=INK, elinewidth=1.1, capsize=3)
     rating = metric.kind == "subjective"
@@ -110,7 +120,9 @@ def _clip_scale(axes: Axes, metric: Metric) -> None:
     axes.set_ylim(max(low, 0.0), min(high, 1.02) if metric.unit.startswith("share") else high)
 
 
-def means_beside(trials: Mapping[str, pd.DataFrame], people: Collection[str]) -> Figure:
+def means_beside(
+    trials: Mapping[str, pd.DataFrame], people: Collection[str], conditions: Mapping[str, Condition]
+) -> Figure:
     """Draw two groups side by side.
 
     Args:
@@ -120,7 +132,6 @@ def means_beside(trials: Mapping[str, pd.DataFrame], people: Collection[str]) ->
     Returns:
         Eight panels, one per metric, with each group's mean under each condition and its 95 % confidence interval.
     """
-    conditions = conditions_of(pd.concat([group[["condition"]] for group in trials.values()]))
     figure = new_figure(13.5, 6.2)
     panels = list(figure.subplots(2, 4).flat)
     proxies = [name for name in trials if name not in people]

@@ -1,4 +1,4 @@
-"""Whom a report is on: people or simulated people, and two such groups side by side, which are never pooled."""
+"""Groups of participants, people or simulated people, and the comparison of two groups; groups are never pooled."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -7,54 +7,69 @@ from typing import Any
 
 import pandas as pd
 
+from guidance.statistics.design import METRICS, Condition, conditions_of, declared_conditions
 from guidance.statistics.figures import confidence_half_width
 from guidance.statistics.paper import compare_with_paper
-from guidance.statistics.tests import METRICS, conditions_of, run_tests
+from guidance.statistics.tests import run_tests
 
-UNTESTED = ("not_tested", "withdrawn")  # outcomes that say nothing about a finding
+UNTESTED = ("not_tested", "withdrawn")  # outcomes without a result
 
 
 @dataclass(frozen=True)
 class Group:
-    """The trials of one study and what they rest on.
+    """The trials of one study and their manifest.
 
     Attributes:
         trials: one row per participant and condition, the columns of `trials.csv`.
-        manifest: as the study left it, or `{"runs": {place: manifest, ...}}` of runs of one study; may be empty.
+        manifest: `manifest.json` of the run, or `{"runs": {folder: manifest, ...}}` of several runs; may be empty.
     """
 
     trials: pd.DataFrame
     manifest: Mapping[str, Any]
 
     @property
-    def one(self) -> Mapping[str, Any]:
-        """The manifest of one of the runs, which are of one study."""
-        return next(iter(self.manifest["runs"].values()), {}) if "runs" in self.manifest else self.manifest
+    def run_manifest(self) -> Mapping[str, Any]:
+        """The manifest of the first run."""
+        return next(iter(self._manifests), {})
+
+    @property
+    def _manifests(self) -> list[Mapping[str, Any]]:
+        return list(self.manifest["runs"].values()) if "runs" in self.manifest else [self.manifest]
+
+    @cached_property
+    def declared(self) -> dict[str, Condition]:
+        """The conditions beyond the paper's that the manifests declare, by name."""
+        return declared_conditions(entry for manifest in self._manifests for entry in manifest.get("conditions", ()))
+
+    @property
+    def conditions(self) -> dict[str, Condition]:
+        """The conditions of the trials by name, see `conditions_of`."""
+        return conditions_of(self.trials, self.declared)
 
     @property
     def people(self) -> bool:
-        """Whether people played; else they are simulated."""
-        return of_people(self.one)
+        """Whether the participants are people."""
+        return of_people(self.run_manifest)
 
     @property
     def planned(self) -> int | None:
-        """How many participants the study is to have; None where that is not known."""
-        return self.one.get("config", {}).get("participants")
+        """The planned number of participants; None if unknown."""
+        return self.run_manifest.get("config", {}).get("participants")
 
     @property
     def withdrawn(self) -> list[str]:
-        """The metrics that the configuration withdraws: proxies that failed. What people say is not."""
-        return [] if self.people else list(self.one.get("config", {}).get("users", {}).get("withdrawn", []))
+        """The metrics that the configuration withdraws: rating proxies that failed a check; none for people."""
+        return [] if self.people else list(self.run_manifest.get("config", {}).get("users", {}).get("withdrawn", []))
 
     @property
     def size(self) -> int:
-        """How many participants there are."""
+        """The number of participants."""
         return self.trials["user"].nunique()
 
     @cached_property
     def tests(self) -> pd.DataFrame:
         """See `guidance.statistics.tests.run_tests`."""
-        return run_tests(self.trials, self.people)
+        return run_tests(self.trials, self.people, self.declared)
 
     @cached_property
     def comparison(self) -> pd.DataFrame:
@@ -63,10 +78,10 @@ class Group:
 
 
 def of_people(manifest: Mapping[str, Any]) -> bool:
-    """Whether the manifest of a run says that people played.
+    """Whether a run is with people, by the `participants` of its manifest: `people`, or `simulated` (the default).
 
     Raises:
-        ValueError: it says something else than `people` or `simulated`; nothing means the latter.
+        ValueError: it is anything else.
     """
     kind = manifest.get("participants", "simulated")
     if kind not in ("people", "simulated"):
@@ -75,7 +90,7 @@ def of_people(manifest: Mapping[str, Any]) -> bool:
 
 
 def names_of(groups: Sequence[Group]) -> list[str]:
-    """What to call two groups: by what they are or, if they are of a kind, by their places."""
+    """Names of two groups: by kind, or by place if they are of the same kind."""
     if groups[0].people != groups[1].people:
         return ["people" if group.people else "simulated people" for group in groups]
     kind = "people" if groups[0].people else "simulated people"
@@ -83,18 +98,19 @@ def names_of(groups: Sequence[Group]) -> list[str]:
 
 
 def side_by_side(here: Group, beside: Group) -> dict[str, Any]:
-    """What a page shows of two groups; nothing is computed over both.
+    """Means and findings of two groups side by side; nothing is computed over both.
 
     Returns:
-        `groups`: per group its `name`, `people`, `size` and `study_hash`. `means`: a row per condition, with its
-        `letter`, `label` and `cells`, per group `n` and per metric the mean and half the 95 % interval. `findings`: a
-        row per finding of the paper, with `rows`, the group's row of `compare_with_paper` and `toward_paper`, dz in
-        the paper's direction. `counts`: of the findings, how many replicate in `both`, in the `first`, in the `second`
-        and in `neither` of those that both could test, and how many one could not test, `untested`.
+        `groups`: per group its `name`, `people`, `size` and `study_hash`.
+        `means`: per condition its `letter`, `label` and `cells`: per group `n`, and per metric the mean and half the
+        95 % interval.
+        `findings`: per finding of the paper its row, and `rows`: per group the row of `compare_with_paper` with
+        `toward_paper`, dz in the paper's direction.
+        `counts`: number of findings that replicate in `both`, in the `first`, in the `second` and in `neither`, of
+        those that were tested in both; and the number of the `untested` others.
     """
     groups = [here, beside]
-    # the letters of conditions that are not the paper's must mean the same in both
-    conditions = conditions_of(pd.concat([group.trials[["condition"]] for group in groups]))
+    conditions = conditions_of_both(here, beside)
     means = [
         {
             "letter": condition.letter,
@@ -116,7 +132,12 @@ def side_by_side(here: Group, beside: Group) -> dict[str, Any]:
     first, second = replicated
     return {
         "groups": [
-            {"name": name, "people": group.people, "size": group.size, "study_hash": group.one.get("study_hash")}
+            {
+                "name": name,
+                "people": group.people,
+                "size": group.size,
+                "study_hash": group.run_manifest.get("study_hash"),
+            }
             for name, group in zip(names_of(groups), groups, strict=True)
         ],
         "means": means,
@@ -131,7 +152,13 @@ def side_by_side(here: Group, beside: Group) -> dict[str, Any]:
     }
 
 
+def conditions_of_both(here: Group, beside: Group) -> dict[str, Condition]:
+    """The conditions of two groups by name; a letter stands for the same condition in both."""
+    trials = pd.concat([group.trials[["condition"]] for group in (here, beside)])
+    return conditions_of(trials, beside.declared | here.declared)
+
+
 def _cells(trials: pd.DataFrame) -> dict[str, Any]:
-    """One group in one condition: how many there are, and per metric the mean and half the interval; NaN of nobody."""
+    """One group in one condition: number of trials; per metric mean and half the 95 % interval, NaN without trials."""
     half = confidence_half_width(trials[list(METRICS)].astype(float))
     return {"n": len(trials)} | {metric: (trials[metric].mean(), half[metric]) for metric in METRICS}

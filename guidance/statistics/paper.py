@@ -1,13 +1,12 @@
-"""The paper's published results, and ours beside them."""
+"""The paper's published results, and the comparison of a study with them."""
 
 from collections.abc import Collection
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from scipy import stats
 
-from guidance.statistics.tests import ALPHA
+from guidance.statistics.design import ALPHA
 
 PAPER = Path(__file__).parent / "paper_tables"
 EVIDENCE = {"M": "mechanical", "P": "performance", "S": "proxy", "S0": "proxy, nearly automatic"}
@@ -20,21 +19,22 @@ def published_results(table: str) -> pd.DataFrame:
 
 
 def compare_with_paper(tests: pd.DataFrame, withdrawn: Collection[str] = ()) -> pd.DataFrame:
-    """Put the result of `run_tests` beside the paper's 101 pairs: 38 findings (Tables 2 and 3) and 63 non-findings.
+    """Compare a study with the 101 pairs of the paper: 38 significant findings (Tables 2 and 3) and 63 non-findings.
 
     Args:
-        tests: from `run_tests`.
-        withdrawn: metrics that do not count, because they failed before the study.
+        tests: see `guidance.statistics.tests.run_tests`.
+        withdrawn: metrics that do not count, because they failed a check before the study.
 
     Returns:
-        One row per pair of the paper, the findings first. The paper's side: `family`, `metric`, `kind`, `x`, `y`, `id`
-        and `table` (of a finding), `evidence` (M, P, S, S0; "" for a non-finding), `paper` (significant |
-        not_significant | anova_not_significant), `paper_greater` (letter), `p_paper` (as printed), `dz_paper` (the smallest |dz| that
-        gives the printed p). Ours: `n`, `mean_difference` (x - y), `ci_low`, `ci_high`, `dz`, `p` (corrected), `rank_p`
-        (Wilcoxon's, corrected), `anova_not_significant`, `significant`, `greater` (letter with the larger mean), `outcome`. For a
-        finding, `outcome` is replicated (significant with the same sign), reversed (significant with the opposite sign)
-        or not_significant; for a non-finding false_positives or agrees; not_tested where no test could be computed;
-        withdrawn by the metric.
+        One row per pair of the paper, the findings first.
+        The paper's side: `family`, `metric`, `kind`, `x`, `y`, `id` and `table` (of a finding), `evidence` (M, P, S,
+        S0; "" for a non-finding), `paper` (significant | not_significant | anova_not_significant), `paper_greater`
+        (letter), `p_paper` (as printed), `dz_paper` (the smallest |dz| that gives the printed p).
+        Ours: `n`, `mean_difference` (x - y), `ci_low`, `ci_high`, `dz`, `p` (corrected), `rank_p` (Wilcoxon's,
+        corrected), `anova_not_significant`, `significant`, `greater` (letter of the larger mean), and `outcome`. Of a
+        finding this is replicated (significant with the same sign), reversed (significant with the opposite sign) or
+        not_significant; of a non-finding false_positives or agrees; of both not_tested where no test could be
+        computed, and withdrawn where the metric is.
     """
     findings = published_results("findings")[["id", "table", "evidence", "dz_min"]].rename(
         columns={"dz_min": "dz_paper"}
@@ -100,11 +100,13 @@ def count_findings(comparison: pd.DataFrame) -> pd.DataFrame:
 
 
 def reference_points(n: int = 20) -> tuple[float, float]:
-    """How many of the 38 findings to expect by chance, and from a perfect re-run with the paper's own people.
+    """Expected number of replicated findings, of 38: by chance, and in a re-run with the paper's own people.
 
-    By chance a two-sided test at .05 / m falls on the paper's side half of the time. For the re-run, every finding has
-    the effect size dz that its printed p implies, and the power of a paired t-test with n participants.
+    By chance, half of the false positives of a two-sided test at .05 / m have the paper's sign. For the re-run, every
+    finding has the effect size dz that its printed p implies, and the power of a paired t-test with n participants.
     """
+    from scipy import stats
+
     if not isinstance(n, int) or n < 2:
         raise ValueError(f"n = {n!r} must be a whole number of at least 2")
     findings = published_results("findings")

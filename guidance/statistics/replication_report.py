@@ -9,15 +9,23 @@ from omegaconf import DictConfig
 from airhockey_marl.experiment.files import atomic_write, write_text
 from airhockey_marl.experiment.html import template
 from airhockey_marl.experiment.plotting import save_figure
+from guidance.statistics.design import METRICS
 from guidance.statistics.figures import robustness_map
 from guidance.statistics.paper import EVIDENCE, reference_points
-from guidance.statistics.robustness import findings_over, leans_on, outcomes_of, scores_of, spread, ua_over, wrong_over
-from guidance.statistics.tests import METRICS
-from guidance.study.replication import ALIKE, AS_IT_IS, SWAPPED, batches_of
+from guidance.statistics.robustness import (
+    adaptation_effects,
+    false_positives_over,
+    findings_over,
+    influential_assumptions,
+    outcomes_of,
+    scores_of,
+    spread,
+)
+from guidance.study.replication import ONE_PLAYSTYLE, REPLICATES, SHUFFLED_ADAPTATION, batches_of
 
 
 def summarize(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame) -> str:
-    """Test every study and write tables, figure and page; what the screen says is returned."""
+    """Test every study, write tables, figure and page to `folder`, and return a table for the screen."""
     withdrawn, outcomes, scores = list(cfg.users.withdrawn), [], []
     for batch in batches_of(cfg):
         for study, trials in pd.read_csv(batch.file(folder), dtype={"user": "str"}).groupby("study"):
@@ -25,9 +33,13 @@ def summarize(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
             outcomes.append(outcome.assign(group=batch.group, study=study))
             scores.append({"group": batch.group, "study": study} | scores_of(trials, outcome))
     outcomes, scores = pd.concat(outcomes, ignore_index=True), pd.DataFrame(scores)
-    findings, wrong = findings_over(outcomes), wrong_over(outcomes)
+    findings, wrong = findings_over(outcomes), false_positives_over(outcomes)
     groups = list(scores["group"].unique())
-    leans = {v: leans_on(outcomes[outcomes["group"] == v], factors) for v in cfg.sensitivity.variants if v in groups}
+    leans = {
+        v: influential_assumptions(outcomes[outcomes["group"] == v], factors)
+        for v in cfg.sensitivity.variants
+        if v in groups
+    }
     tables = {"outcomes": outcomes, "studies": scores, "robustness": findings}
     for name, table in tables.items():
         with atomic_write(folder / f"{name}.csv") as temporary:
@@ -51,8 +63,12 @@ def summarize(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
         rerun=rerun,
         figure=base64.b64encode(svg).decode("ascii"),
         facts=facts,
-        names={AS_IT_IS: "as the study is", SWAPPED: "UA from somebody else’s game", ALIKE: "people of one style"},
-        ua=ua_over(outcomes).to_dict("records"),
+        names={
+            REPLICATES: "as the study is",
+            SHUFFLED_ADAPTATION: "UA from somebody else’s game",
+            ONE_PLAYSTYLE: "people of one style",
+        },
+        ua=adaptation_effects(outcomes).to_dict("records"),
     )
     write_text(folder / "replicate.html", page)
     lines = [

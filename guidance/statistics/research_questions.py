@@ -1,16 +1,16 @@
-"""The four research questions (section 4.1), answered in sentences from significant pairs: ours or the paper's."""
+"""Answers to the four research questions (section 4.1) in sentences, from significant pairs of ours or of the paper."""
 
 from typing import NamedTuple
 
 import pandas as pd
 
-from guidance.statistics.tests import METRICS
+from guidance.statistics.design import METRICS
 
 PERFORMANCE = ("win_rate", "mean_smash_speed", "defense_rate")
 
 
 class Contrast(NamedTuple):
-    """What a research question sets against what: `subject` is condition `new` (a letter) instead of `old`."""
+    """A comparison of a research question: `subject` names the change from condition `old` to `new` (letters)."""
 
     subject: str
     new: str
@@ -45,12 +45,12 @@ CONTRASTS = {
 
 
 def answer_questions(pairs: pd.DataFrame, people: bool = False) -> dict[str, list[str]]:
-    """Answer RQ1-RQ4, a sentence per contrast.
+    """Answers to RQ1-RQ4, a sentence per contrast.
 
     Args:
         pairs: `metric`, `x`, `y` (letters), `greater` (the letter with the significantly larger mean, "" if the
             means do not differ significantly) and `tested` (bool), one row per pair and metric.
-        people: the ratings are people's; without it they are marked as proxies.
+        people: the ratings are of people; otherwise they are marked as proxies.
 
     Returns:
         question -> sentences, such as "UA in UPHG raises helpfulness (PROXY) and controllability (PROXY).".
@@ -61,15 +61,15 @@ def answer_questions(pairs: pd.DataFrame, people: bool = False) -> dict[str, lis
 
 
 def _sentence(contrast: Contrast, pairs: pd.DataFrame, people: bool) -> str:
-    compared = [set(pair) == {contrast.new, contrast.old} for pair in zip(pairs["x"], pairs["y"], strict=True)]
-    chosen = pairs[compared]
-    chosen = chosen[chosen["metric"].isin(contrast.metrics) & chosen["tested"]]
-    if chosen.empty:
+    matches = [set(pair) == {contrast.new, contrast.old} for pair in zip(pairs["x"], pairs["y"], strict=True)]
+    tested = pairs[matches]
+    tested = tested[tested["metric"].isin(contrast.metrics) & tested["tested"]]
+    if tested.empty:
         return f"{contrast.subject} was not tested."
     changes = [
-        f"{verb} {_list(chosen.loc[chosen['greater'] == letter, 'metric'], people)}"
+        f"{verb} {_list(tested.loc[tested['greater'] == letter, 'metric'], people)}"
         for verb, letter in (("raises", contrast.new), ("lowers", contrast.old))
-        if (chosen["greater"] == letter).any()
+        if (tested["greater"] == letter).any()
     ]
     return f"{contrast.subject} {' and '.join(changes) or 'changes nothing significantly'}."
 

@@ -1,10 +1,9 @@
-"""Which of the paper's findings hold over many studies: in what share of them, which way, and on what it hangs."""
+"""Robustness of the paper's findings over many studies: replication rates, effect sizes, influence of assumptions."""
 
 from collections.abc import Collection, Sequence
 
 import numpy as np
 import pandas as pd
-from scipy import stats as scipy_stats
 
 from guidance.statistics.paper import EVIDENCE, compare_with_paper
 from guidance.statistics.tests import run_tests
@@ -14,15 +13,14 @@ KEPT = [*PAIR, "evidence", "paper", "paper_greater", "dz_paper", "p_paper", "out
 
 
 def outcomes_of(trials: pd.DataFrame, withdrawn: Collection[str] = ()) -> pd.DataFrame:
-    """One study beside the paper: a row per pair of the paper's.
+    """The comparison of one study with the paper: a row per pair.
 
     Args:
-        trials: of one study, as `run_tests` takes them.
+        trials: of one study, see `run_tests`.
         withdrawn: metrics that do not count.
 
     Returns:
-        What `compare_with_paper` says, and `dz_toward_paper`, the effect size in the paper's direction (of the
-        findings).
+        Columns of `compare_with_paper`, and of findings `dz_toward_paper`, the effect size in the paper's direction.
     """
     comparison = compare_with_paper(run_tests(trials), withdrawn)[KEPT]
     sign = np.where(comparison["x"] == comparison["paper_greater"], 1.0, -1.0)
@@ -30,14 +28,14 @@ def outcomes_of(trials: pd.DataFrame, withdrawn: Collection[str] = ()) -> pd.Dat
 
 
 def scores_of(trials: pd.DataFrame, outcomes: pd.DataFrame) -> dict[str, float]:
-    """One study in a row: what replicates by evidence class, what else is significant, weights, unguided play."""
-    found = outcomes["outcome"]
+    """Scores of one study: findings replicated by evidence class, other outcomes, mean weights, unguided play."""
+    outcome = outcomes["outcome"]
     scores = {
-        f"replicated_{evidence}": int((outcomes["evidence"].eq(evidence) & found.eq("replicated")).sum())
+        f"replicated_{evidence}": int((outcomes["evidence"].eq(evidence) & outcome.eq("replicated")).sum())
         for evidence in EVIDENCE
     }
     scores["replicated"] = sum(scores.values())
-    scores |= {name: int(found.eq(name).sum()) for name in ("reversed", "false_positives")}
+    scores |= {name: int(outcome.eq(name).sum()) for name in ("reversed", "false_positives")}
     scores |= {name: trials[f"{name}_mean"].mean() for name in ("w_unc_optimal", "w_unc_user", "w_sim")}
     unguided = trials.loc[trials["condition"] == "nhg"]
     return scores | {
@@ -47,7 +45,7 @@ def scores_of(trials: pd.DataFrame, outcomes: pd.DataFrame) -> dict[str, float]:
 
 
 def findings_over(outcomes: pd.DataFrame) -> pd.DataFrame:
-    """Each finding over the studies of each group.
+    """Replication rate and effect size of each finding in each group of studies.
 
     Args:
         outcomes: rows of `outcomes_of` of many studies, and their `group` and `study`.
@@ -68,50 +66,54 @@ def findings_over(outcomes: pd.DataFrame) -> pd.DataFrame:
     return pd.DataFrame({"studies": grouped.size(), **shares, **quantiles}).reset_index()
 
 
-def wrong_over(outcomes: pd.DataFrame) -> pd.DataFrame:
-    """Each comparison that the paper did not find significant, per group: the share of studies in which it is."""
+def false_positives_over(outcomes: pd.DataFrame) -> pd.DataFrame:
+    """Share of the studies of a group in which a non-finding of the paper is significant, per non-finding."""
     others = outcomes[outcomes["id"].eq("")]
     keys = ["group", "family", "metric", "x", "y", "paper"]
     return others.groupby(keys, sort=False)["outcome"].agg(lambda c: c.eq("false_positives").mean()).reset_index()
 
 
-def ua_over(outcomes: pd.DataFrame) -> pd.DataFrame:
-    """What UA alone changes, (e) against (d), per group: mean effect size of e - d, and its 95 % interval over studies.
+def adaptation_effects(outcomes: pd.DataFrame) -> pd.DataFrame:
+    """The effect of UA, (e) against (d), per group: mean effect size of e - d, and its 95 % interval over studies.
 
     Returns:
         `group`, `metric`, `studies`, `mean`, `low`, `high`.
     """
+    from scipy.stats import t
+
     pairs = outcomes[outcomes["x"].eq("d") & outcomes["y"].eq("e")]
     grouped = pairs.groupby(["group", "metric"], sort=False)["dz"]
     n, mean, error = grouped.count(), -grouped.mean(), grouped.sem()
-    half = error * scipy_stats.t.isf(0.025, (n - 1).where(n > 1))
+    half = error * t.isf(0.025, (n - 1).where(n > 1))
     return pd.DataFrame({"studies": n, "mean": mean, "low": mean - half, "high": mean + half}).reset_index()
 
 
-def leans_on(outcomes: pd.DataFrame, factors: pd.DataFrame, strongest: int = 3) -> pd.DataFrame:
-    """Which assumptions each finding's effect leans on.
+def influential_assumptions(outcomes: pd.DataFrame, factors: pd.DataFrame, strongest: int = 3) -> pd.DataFrame:
+    """The assumptions that each finding's effect size depends on most.
 
     Args:
         outcomes: as for `findings_over`, of the studies of one group.
         factors: by `study`, the factor of each assumption.
-        strongest: how many to name.
+        strongest: number of assumptions per finding.
 
     Returns:
         Per finding the assumptions with the largest Spearman correlation, in size, between factor and effect in the
         paper's direction: `parameter`, `correlation`, and `p` with Bonferroni's correction over the assumptions.
     """
+    from scipy.stats import spearmanr
+
     rows = []
     for key, studies in outcomes[outcomes["id"].ne("")].groupby(PAIR, sort=False):
         effect = studies.set_index("study")["dz_toward_paper"].dropna()
         if len(effect) < 5 or effect.nunique() < 2:
             continue
         here = factors.loc[effect.index]
-        found = [(name, *scipy_stats.spearmanr(here[name], effect)) for name in here]
-        found.sort(key=lambda entry: -abs(entry[1]))
+        correlations = [(name, *spearmanr(here[name], effect)) for name in here]
+        correlations.sort(key=lambda entry: -abs(entry[1]))
         rows += [
             dict(zip(PAIR, key, strict=True))
             | {"parameter": name, "correlation": rho, "p": min(1.0, p * len(here.columns))}
-            for name, rho, p in found[:strongest]
+            for name, rho, p in correlations[:strongest]
         ]
     return pd.DataFrame(rows, columns=[*PAIR, "parameter", "correlation", "p"])
 

@@ -1,80 +1,34 @@
-"""The paper's statistics (section 5) on a tidy table of games, and the paper's own findings beside them.
+"""The statistical tests of section 5 on a tidy table of trials.
 
-Within a guidance type, and then between types, every one of the eight metrics is compared across the same
-participants: a paired t-test for the two OAHG conditions, a repeated measures ANOVA with Greenhouse-Geisser correction
-for the three UPHG, the three CombHG and the four types, and after a significant ANOVA paired t-tests with Bonferroni
-correction. Of simulated people the four ratings are proxies, and every result about them says `proxy`; people rate.
+Each of the eight metrics is compared across the same participants, within a type of guidance and between types: by a
+paired t-test for the two OAHG conditions, and by a repeated measures ANOVA with Greenhouse-Geisser correction for the
+three UPHG conditions, the three CombHG conditions and the four types, followed by paired t-tests with Bonferroni
+correction. The ratings of simulated people are proxies, and every result about them is marked as `proxy`.
 
-`pingouin` computes the ANOVA (its values agree with SPSS, R and JASP). The pairs come from `scipy.stats.ttest_rel`,
+`pingouin` computes the ANOVA (its values agree with SPSS, R and JASP). Pairs are tested by `scipy.stats.ttest_rel`,
 because pingouin rounds the confidence interval to two decimals.
 """
 
+from collections.abc import Mapping
 from itertools import combinations, product
-from string import ascii_lowercase
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pandas as pd
-import pingouin
-from scipy import stats
 
-ALPHA = 0.05
-FEWEST_PARTICIPANTS = 3  # two participants leave a single degree of freedom for a difference
-ROUNDING = 1e-12  # differences below this share of the values are rounding, not data
+from guidance.statistics.design import (
+    ALPHA,
+    BEYOND,
+    CONDITIONS,
+    FAMILIES,
+    FEWEST_PARTICIPANTS,
+    METRICS,
+    Condition,
+    conditions_of,
+)
 
-
-class Condition(NamedTuple):
-    """A condition: its letter and name, in the paper (section 4.2) for the nine of it, and its type of guidance."""
-
-    letter: str
-    label: str
-    guidance: str
-
-
-class Metric(NamedTuple):
-    """A metric of the user study (section 4.3)."""
-
-    label: str
-    kind: str  # objective | subjective
-    unit: str
-
-
-CONDITIONS = {
-    "nhg": Condition("a", "NHG", "NHG"),
-    "oahg": Condition("b", "OAHG (vanilla)", "OAHG"),
-    "oahg_ut": Condition("c", "OAHG (UT)", "OAHG"),
-    "uphg": Condition("d", "UPHG (vanilla)", "UPHG"),
-    "uphg_ua": Condition("e", "UPHG (UA)", "UPHG"),
-    "uphg_ut_ua": Condition("f", "UPHG (UT+UA)", "UPHG"),
-    "combhg_ua": Condition("g", "CombHG (UA)", "CombHG"),
-    "combhg_ua_sc": Condition("h", "CombHG (UA+SC)", "CombHG"),
-    "combhg_ut_ua_sc": Condition("i", "CombHG (UT+UA+SC)", "CombHG"),
-}
-METRICS = {
-    "win_rate": Metric("Win rate", "objective", "share of rounds"),
-    "mean_smash_speed": Metric("Mean smash speed", "objective", "m/s"),
-    "defense_rate": Metric("Defense rate", "objective", "share of pucks blocked"),
-    "mean_disagreement": Metric("Mean disagreement", "objective", "N"),
-    "helpfulness": Metric("Helpfulness", "subjective", "1-7"),
-    "naturalness": Metric("Naturalness", "subjective", "1-7"),
-    "controllability": Metric("Controllability", "subjective", "1-7"),
-    "comfort": Metric("Comfort", "subjective", "1-7"),
-}
-FAMILIES = {"OAHG": "bc", "UPHG": "def", "CombHG": "ghi", "types": "acfi"}
-BEYOND = "beyond"  # the type of every condition that is not the paper's, and the family in which it meets the types
-
-
-def conditions_of(trials: pd.DataFrame) -> dict[str, Condition]:
-    """The conditions in the trials by name: the paper's in its order, then any others, lettered from j on."""
-    present = list(dict.fromkeys(trials["condition"]))
-    own = [name for name in present if name not in CONDITIONS]
-    letters = ascii_lowercase[len(CONDITIONS) :]
-    if len(own) > len(letters):
-        raise ValueError(f"{len(own)} conditions that are not the paper's, must be at most {len(letters)}")
-    return {name: condition for name, condition in CONDITIONS.items() if name in present} | {
-        name: Condition(letter, name, BEYOND) for name, letter in zip(own, letters, strict=False)
-    }
-
+ROUNDING = 1e-12  # relative size of differences that are rounding errors
+NHG = CONDITIONS["nhg"].letter
 
 TESTS_DTYPES = (
     dict.fromkeys(["family", "metric", "kind", "test", "x", "y"], "str")
@@ -86,60 +40,79 @@ TESTS_DTYPES = (
 )
 
 
-def run_tests(trials: pd.DataFrame, people: bool = False) -> pd.DataFrame:
+def run_tests(
+    trials: pd.DataFrame, people: bool = False, declared: Mapping[str, Condition] | None = None
+) -> pd.DataFrame:
     """Run every test of section 5 that the conditions present allow.
 
     Args:
         trials: one row per participant and condition, with the columns `user`, `condition` and the eight `METRICS`;
-            an undefined value is NaN and excludes that participant from the family's test of that metric. NHG has no
-            disagreement, so the types are compared on it without NHG (section 5.2). Conditions that are not the
-            paper's meet the types of guidance in a family of their own, `beyond`.
-        people: they are of people, whose ratings are no proxies, and some of whom may not have finished: these are
-            excluded as if what they have not played were NaN.
+            NaN excludes a participant from the family's test of that metric. NHG has no disagreement, so the types are
+            compared on it without NHG (section 5.2).
+        people: the trials are of people: their ratings are no proxies, and some may not have finished; games that
+            they have not played count as NaN.
+        declared: letters, labels and comparisons of conditions beyond the paper's, see `conditions_of`.
 
     Returns:
         One row per test, empty with fewer than three participants; families with an absent condition are skipped.
-        `test` is paired_t, rm_anova or posthoc; `x`, `y` the letters of a pair and `greater` the one with the larger
-        mean; `n` the participants; `statistic` t or F with `df1`, `df2` (uncorrected, as the paper reports them);
-        `rank_statistic`, `rank_p`, `rank_p_corrected` the same by ranks, which ratings on a scale of seven would ask
-        for and the paper does not report: Friedman's chi squared, or Wilcoxon's W with the same Bonferroni correction;
-        `epsilon` Greenhouse-Geisser; `p` uncorrected; `p_corrected` by Greenhouse-Geisser (ANOVA) or Bonferroni (post
-        hoc), else `p`; `eta_squared` partial; `dz` = mean / SD of the differences x - y; `mean_difference` x - y in
-        the metric's unit with its 95 % interval `ci_low`, `ci_high`; `anova_not_significant` a post hoc test whose ANOVA was not
-        significant, which the paper does not run; `significant` p_corrected < .05 and not anova_not_significant; `proxy` a rating
-        that is a proxy. Where the differences do not vary, the statistic and the p are NaN.
+        Conditions beyond the paper's are compared with the types in the family `beyond`, and each with those that it
+        names in `against` in a family of its own name.
+
+        `test`: paired_t, rm_anova, posthoc, or planned (a comparison with a condition named in `against`).
+        `x`, `y`, `greater`: the letters of a pair, and that of the larger mean.
+        `n`: participants.
+        `statistic`, `df1`, `df2`: t or F with its degrees of freedom (uncorrected, as the paper reports them).
+        `epsilon`: Greenhouse-Geisser.
+        `p`, `p_corrected`: uncorrected; corrected by Greenhouse-Geisser (ANOVA) or Bonferroni (post hoc, planned).
+        `rank_statistic`, `rank_p`, `rank_p_corrected`: the same on ranks, which the paper does not report: Friedman's
+        chi squared, or Wilcoxon's W with the same Bonferroni correction.
+        `eta_squared`: partial. `dz`: mean / SD of the differences x - y.
+        `mean_difference`, `ci_low`, `ci_high`: x - y in the metric's unit, with its 95 % interval.
+        `anova_not_significant`: a post hoc test after an ANOVA without a significant effect, which the paper omits.
+        `significant`: p_corrected < .05 and not anova_not_significant. `proxy`: a rating that is a proxy.
+        Statistic and p are NaN where the differences do not vary.
 
     Raises:
-        ValueError: trials that `check_trials` refuses.
+        ValueError: the trials are not valid, see `check_trials`.
     """
     check_trials(trials, people)
     rows: list[dict[str, Any]] = []
-    conditions = conditions_of(trials)
-    own = "".join(condition.letter for condition in conditions.values() if condition.guidance == BEYOND)
-    families = FAMILIES | ({BEYOND: FAMILIES["types"] + own} if own else {})
+    conditions = conditions_of(trials, declared)
+    own = {name: condition for name, condition in conditions.items() if condition.guidance == BEYOND}
+    families = dict(FAMILIES)
+    if own:
+        families[BEYOND] = FAMILIES["types"] + "".join(condition.letter for condition in own.values())
     if trials["user"].nunique() >= FEWEST_PARTICIPANTS:
         tidy = trials.assign(condition=[conditions[name].letter for name in trials["condition"]])
         for (family, letters), metric in product(families.items(), METRICS):
-            levels = [letter for letter in letters if (letter, metric) != ("a", "mean_disagreement")]
-            if set(levels) <= set(tidy["condition"]):
-                scores = tidy.pivot(index="user", columns="condition", values=metric)[levels].astype(float).dropna()
-                kind = METRICS[metric].kind
-                shared = {
-                    "family": family,
-                    "metric": metric,
-                    "kind": kind,
-                    "proxy": kind == "subjective" and not people,
-                }
-                rows += [shared | row for row in _compare(scores)]
+            if (scores := _scores(tidy, metric, letters)) is not None:
+                rows += [_about(family, metric, people) | row for row in _compare(scores)]
+        for (name, condition), metric in product(own.items(), METRICS):
+            pairs = [_scores(tidy, metric, letter + condition.letter) for letter in condition.against]
+            pairs = [scores for scores in pairs if scores is not None and scores.shape[1] == 2]
+            rows += [_about(name, metric, people) | row for row in _planned(pairs)]
     tests = pd.DataFrame(rows, columns=list(TESTS_DTYPES))
     return tests.fillna({"x": "", "y": "", "greater": ""}).astype(TESTS_DTYPES)
 
 
+def _scores(tidy: pd.DataFrame, metric: str, letters: str) -> pd.DataFrame | None:
+    """Scores (participants, conditions) without missing values; None if a condition is absent."""
+    levels = [letter for letter in letters if (letter, metric) != (NHG, "mean_disagreement")]
+    if not set(levels) <= set(tidy["condition"]):
+        return None
+    return tidy.pivot(index="user", columns="condition", values=metric)[levels].astype(float).dropna()
+
+
+def _about(family: str, metric: str, people: bool) -> dict[str, Any]:
+    kind = METRICS[metric].kind
+    return {"family": family, "metric": metric, "kind": kind, "proxy": kind == "subjective" and not people}
+
+
 def check_trials(trials: pd.DataFrame, people: bool = False) -> None:
-    """Refuse trials that cannot be compared within participants.
+    """Check that trials can be compared within participants.
 
     Args:
-        people: they are of people, who play one condition after the other: all need not have played the same.
+        people: the trials are of people, who need not all have played the same conditions yet.
 
     Raises:
         ValueError: an absent column, too many conditions, an infinite value, two rows for one participant and
@@ -152,15 +125,15 @@ def check_trials(trials: pd.DataFrame, people: bool = False) -> None:
     if np.isinf(trials[list(METRICS)].to_numpy(float)).any():
         raise ValueError("trials hold infinite values")
     games = trials.groupby(["user", "condition"]).size()
-    if named := ", ".join(f"{user} {condition}" for user, condition in games[games > 1].index):
-        raise ValueError(f"more than one game of a participant in a condition: {named}")
-    named = "; ".join(f"{user} lacks {', '.join(names)}" for user, names in missing_games(trials).items())
-    if named and not people:
-        raise ValueError(f"every participant must have played every condition: {named}")
+    if repeated := ", ".join(f"{user} {condition}" for user, condition in games[games > 1].index):
+        raise ValueError(f"more than one game of a participant in a condition: {repeated}")
+    missing = "; ".join(f"{user} lacks {', '.join(names)}" for user, names in missing_games(trials).items())
+    if missing and not people:
+        raise ValueError(f"every participant must have played every condition: {missing}")
 
 
 def missing_games(trials: pd.DataFrame) -> dict[str, list[str]]:
-    """Whoever has not played all conditions that are in the trials, and which ones."""
+    """The conditions that a participant has not played, by participant, of those who have not played all."""
     games = trials.groupby(["user", "condition"]).size().unstack(fill_value=0)
     absent = {user: [name for name in games if row[name] == 0] for user, row in games.iterrows()}
     return {user: names for user, names in absent.items() if names}
@@ -173,13 +146,24 @@ def _compare(scores: pd.DataFrame) -> list[dict[str, Any]]:
         row = _paired_t(scores, *pairs[0])
         return [row | _verdict("paired_t", row["p"], anova_not_significant=False)]
     anova = _rm_anova(scores)
-    anova_not_significant = not anova["p_corrected"] < ALPHA  # a NaN gates too
+    anova_not_significant = not anova["p_corrected"] < ALPHA  # also if it is NaN
     posthoc = [_paired_t(scores, *pair) for pair in pairs]
     return [anova | _verdict("rm_anova", anova["p_corrected"], anova_not_significant=False)] + [
         row
         | _verdict("posthoc", _bonferroni(row["p"], len(pairs)), anova_not_significant)
         | {"rank_p_corrected": _bonferroni(row.get("rank_p", np.nan), len(pairs))}
         for row in posthoc
+    ]
+
+
+def _planned(pairs: list[pd.DataFrame]) -> list[dict[str, Any]]:
+    """Planned comparisons of one metric; scores (participants, 2) each, corrected for their number."""
+    rows = [_paired_t(scores, *scores.columns) for scores in pairs]
+    return [
+        row
+        | _verdict("planned", _bonferroni(row["p"], len(rows)), anova_not_significant=False)
+        | {"rank_p_corrected": _bonferroni(row.get("rank_p", np.nan), len(rows))}
+        for row in rows
     ]
 
 
@@ -198,11 +182,14 @@ def _verdict(test: str, p_corrected: float, anova_not_significant: bool) -> dict
 
 
 def _constant(values: np.ndarray, scale: float) -> bool:
-    """Whether values (any shape) differ by rounding only, as differences of equal or shifted columns do."""
+    """Whether values (any shape) differ by rounding errors only."""
     return bool(np.ptp(values) <= ROUNDING * scale)
 
 
 def _rm_anova(scores: pd.DataFrame) -> dict[str, Any]:
+    import pingouin
+    from scipy.stats import friedmanchisquare
+
     n, levels = scores.shape
     row = {"n": n, "df1": levels - 1, "df2": (levels - 1) * (n - 1), "p_corrected": np.nan}
     if n < FEWEST_PARTICIPANTS:
@@ -213,7 +200,7 @@ def _rm_anova(scores: pd.DataFrame) -> dict[str, Any]:
         return row
     tidy = scores.reset_index().melt("user", var_name="condition", value_name="score")
     anova = pingouin.rm_anova(tidy, "score", "condition", "user", correction=True, effsize="np2").iloc[0]
-    friedman = stats.friedmanchisquare(*values.T)
+    friedman = friedmanchisquare(*values.T)
     return row | {
         "rank_statistic": friedman.statistic,
         "rank_p": friedman.pvalue,
@@ -227,6 +214,8 @@ def _rm_anova(scores: pd.DataFrame) -> dict[str, Any]:
 
 
 def _paired_t(scores: pd.DataFrame, x: str, y: str) -> dict[str, Any]:
+    from scipy import stats
+
     difference = (scores[x] - scores[y]).to_numpy()
     n = len(difference)
     mean = difference.mean() if n else np.nan

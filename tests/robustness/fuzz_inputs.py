@@ -36,7 +36,7 @@ from guidance.forces.equations import similarity_weight, spring_force, uncertain
 from guidance.haptics.safety import Safety, SafetyLimits
 from guidance.sessions.bids import Records
 from guidance.sessions.participant import check_label
-from guidance.statistics.report import merge
+from guidance.statistics.runs import merge
 from guidance.study.models import load_user_model
 from guidance.study.tick_log import COLUMNS, read_ticks
 

@@ -26,8 +26,9 @@ from airhockey_marl.experiment.files import load_tensors, save_tensors
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.haptics.safety import Safety, SafetyLimits
-from guidance.statistics.report import merge, write_report
-from guidance.statistics.tests import CONDITIONS, METRICS
+from guidance.statistics.design import CONDITIONS, METRICS
+from guidance.statistics.report import write_report
+from guidance.statistics.runs import merge
 from guidance.study.models import Models, load_user_model
 from tests import ROOT
 from tests.robustness.fuzz_inputs import ACCEPTED, KINDS, REFUSED, Trap, fuzz

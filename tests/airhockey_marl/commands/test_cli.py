@@ -17,9 +17,8 @@ from airhockey_marl.evaluation import comparison as compare
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.files import load_tensors, save_tensors
 from airhockey_marl.players.networks import GaussianPolicy
-from guidance.commands import collect, evaluate, meta_train
+from guidance.commands import collect, evaluate, meta_train, report
 from guidance.commands import validate_users as battery
-from guidance.statistics import report
 from guidance.study.models import Models
 from guidance.study.provenance import file_hashes, manifest
 from tests import ROOT

@@ -29,8 +29,8 @@ from airhockey_marl.self_play import league_training
 from guidance.commands import meta_train
 from guidance.forces.conditions import GuidanceOutput
 from guidance.statistics import tensorboard as study
-from guidance.statistics.histograms import BINS, Histograms
-from guidance.statistics.tests import CONDITIONS, METRICS
+from guidance.statistics.design import CONDITIONS, METRICS
+from guidance.statistics.tensorboard import BINS, Histograms
 from tests.airhockey_marl.commands.test_cli import smoke
 
 SIZES = {"scalars": 0, "histograms": 0, "images": 0, "tensors": 0}

@@ -15,12 +15,14 @@ from matplotlib.colors import to_rgba
 from scipy import stats as scipy_stats
 
 from airhockey_marl.experiment.files import find_files
+from guidance.statistics.design import CONDITIONS, METRICS
 from guidance.statistics.figures import COLORS, confidence_half_width, figure6, means_beside
-from guidance.statistics.groups import Group, side_by_side
+from guidance.statistics.groups import Group, conditions_of_both, side_by_side
 from guidance.statistics.paper import compare_with_paper, count_findings, published_results
-from guidance.statistics.report import gather, merge, screen_table, write_report
+from guidance.statistics.report import screen_table, write_report
 from guidance.statistics.research_questions import answer_questions
-from guidance.statistics.tests import CONDITIONS, METRICS, check_trials, run_tests
+from guidance.statistics.runs import gather, merge
+from guidance.statistics.tests import check_trials, run_tests
 from tests.processes import start
 
 WEIGHTS = {"w_unc_optimal": "ci", "w_unc_user": "fi", "w_sim": "hi"}
@@ -176,7 +178,7 @@ def test_too_few_participants(tmp_path):
     assert write_report(synthetic_trials(users=2), tmp_path, {}).empty
     text = text_of((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert "too few participants (2)" in text
-    assert "The run left no manifest." in text
+    assert "The run has no manifest." in text
 
 
 def test_no_trials_are_refused(trials, tmp_path):
@@ -408,7 +410,7 @@ def test_what_people_say_is_a_rating(trials, tmp_path):
     assert not tests["proxy"].any() and of_proxies["proxy"].any()
     pd.testing.assert_frame_equal(tests.drop(columns="proxy"), of_proxies.drop(columns="proxy"))
     text = text_of(page_of(tmp_path / "people"))
-    before_manifest = text[: text.index("Where these numbers come from")]
+    before_manifest = text[: text.index("Provenance")]
     for word in ("proxy", "proxies", "simulat", "withdrawn", "tuning", "frozen"):
         assert word not in before_manifest.lower(), word
     assert "20 participants, 180 games, all nine" in text and "their ratings , from 1 to 7" in text
@@ -425,7 +427,7 @@ def test_what_people_say_is_a_rating(trials, tmp_path):
 def test_manifests_that_say_nothing_or_simulated_are_of_simulated_people(trials, tmp_path):
     for name, manifest in (("nothing", {}), ("simulated", {"participants": "simulated"})):
         write_report(trials, tmp_path / name, manifest)
-    pages = [page_of(tmp_path / name).partition("Where these numbers")[0] for name in ("nothing", "simulated")]
+    pages = [page_of(tmp_path / name).partition("Provenance")[0] for name in ("nothing", "simulated")]
     assert pages[0] == pages[1] and "20 simulated participants" in pages[0]
     with pytest.raises(ValueError, match="participants = 'robots' must be people or simulated"):
         write_report(trials, tmp_path, {"participants": "robots"})
@@ -526,7 +528,7 @@ def test_two_groups_stand_side_by_side(groups, tmp_path):
         (tmp_path / name).read_bytes() for name in ("figure6.svg", "beside.svg")
     ]
     assert (tmp_path / "beside.png").read_bytes().startswith(b"\x89PNG")
-    assert "5e1f" in page[page.index("Where these numbers come from") :]
+    assert "5e1f" in page[page.index("Provenance") :]
 
 
 def test_counts_side_by_side_are_of_findings_that_both_tested(groups):
@@ -553,7 +555,7 @@ def test_groups_of_a_kind_are_told_apart(trials, tmp_path):
 
 def test_figure_of_two_groups_draws_both_means(groups):
     people, simulated = groups
-    figure = means_beside({"people": people.trials, "simulated people": simulated.trials}, ["people"])
+    figure = means_beside({"people": people.trials, "simulated people": simulated.trials}, ["people"], CONDITIONS)
     for axes, metric in zip(figure.axes, METRICS, strict=True):
         lines = [line for line in axes.lines if not str(line.get_label()).startswith("_")]
         assert [line.get_label() for line in lines] == ["people (n = 5)", "simulated people (n = 20)"]
@@ -570,7 +572,14 @@ def test_conditions_of_one_group_only_have_one_letter_in_both(trials):
     rows = {row["label"]: row for row in side_by_side(*groups)["means"]}
     assert (rows["mine"]["letter"], rows["yours"]["letter"]) == ("j", "k")
     assert [cell["n"] for cell in rows["yours"]["cells"]] == [0, 20]
-    assert len(means_beside({"a": groups[0].trials, "b": groups[1].trials}, []).axes[0].get_xticks()) == 11
+    assert (
+        len(
+            means_beside({"a": groups[0].trials, "b": groups[1].trials}, [], conditions_of_both(*groups))
+            .axes[0]
+            .get_xticks()
+        )
+        == 11
+    )
 
 
 @pytest.fixture
@@ -609,3 +618,57 @@ def test_command_refuses_to_set_games_beside_themselves(studies, beside, message
     done = report_command("runs=people", f"beside={beside}", "out=result", cwd=studies)
     assert done.returncode == 2 and not (studies / "result").exists()
     assert done.stderr.strip() == f"error: {message}"
+
+
+DECLARED = {
+    "conditions": [
+        {"name": "nhg", "letter": "a", "label": "NHG", "color": None, "against": []},
+        {"name": "mine", "letter": "q", "label": "My own", "color": "#123456", "against": ["b", "c"]},
+    ]
+}
+
+
+@pytest.fixture(scope="module")
+def declared_trials(trials) -> pd.DataFrame:
+    own = trials[trials["condition"] == "oahg_ut"].assign(condition="mine", win_rate=lambda t: t["win_rate"] + 0.01)
+    return pd.concat([trials, own], ignore_index=True)
+
+
+def test_declared_conditions_keep_letter_label_and_color(declared_trials, tmp_path):
+    write_report(declared_trials, tmp_path, DECLARED)
+    text = text_of(page_of(tmp_path))
+    assert "(q) My own is not a condition of the paper." in text and "mine" not in text[: text.index("Provenance")]
+    declared = Group(declared_trials, DECLARED).declared
+    assert "(q) My own" in screen_table(declared_trials, declared=declared)
+    bars = figure6(declared_trials, declared=declared).axes[0].containers[0]
+    assert [bar.get_facecolor() for bar in bars][-1] == to_rgba("#123456")
+
+
+def test_planned_comparisons_show_every_row(declared_trials, tmp_path):
+    tests = write_report(declared_trials, tmp_path, DECLARED)
+    planned = tests[tests["test"] == "planned"]
+    assert set(planned["family"]) == {"mine"} and len(planned) == 2 * 8
+    pair = planned.query("x == 'b' and metric == 'win_rate'").iloc[0]
+    x, y = (
+        declared_trials.query(f"condition == '{name}'").sort_values("user")["win_rate"] for name in ("oahg", "mine")
+    )
+    expected = scipy_stats.ttest_rel(x.to_numpy(), y.to_numpy())
+    assert (pair["statistic"], pair["p"]) == pytest.approx((expected.statistic, expected.pvalue))
+    assert pair["p_corrected"] == pytest.approx(min(1, 2 * expected.pvalue))
+    page = page_of(tmp_path)
+    section = page[page.index("<h3>Planned comparisons</h3>") : page.index("<h2>How strongly")]
+    assert section.count("<tr") == 1 + 2 * 8 and "(b) OAHG (vanilla) − (q) My own" in section
+    alone = run_tests(declared_trials[declared_trials["condition"].isin(CONDITIONS)])
+    rest = tests[~tests["family"].isin(["beyond", "mine"])].reset_index(drop=True)
+    pd.testing.assert_frame_equal(rest, alone)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"), [("letter", "jj"), ("label", 3), ("color", "red"), ("against", "b"), ("name", "")]
+)
+def test_manifests_with_invalid_conditions_are_refused(declared_trials, tmp_path, key, value):
+    manifest = {"conditions": [DECLARED["conditions"][1] | {key: value}]}
+    if key == "against":
+        manifest["conditions"][0]["against"] = [value, 1]
+    with pytest.raises(ValueError, match=rf"manifest: conditions: .*{key} = "):
+        write_report(declared_trials, tmp_path, manifest)

@@ -1,4 +1,4 @@
-"""Many studies: the tables are what they say, and a run that was killed ends like one that was not."""
+"""Replicated studies: their tables, resumed runs and runs on a Ray cluster."""
 
 import numpy as np
 import pandas as pd
@@ -7,7 +7,14 @@ from scipy import stats as scipy_stats
 
 from guidance.commands import replicate
 from guidance.statistics.figures import robustness_map
-from guidance.statistics.robustness import findings_over, leans_on, outcomes_of, scores_of, ua_over, wrong_over
+from guidance.statistics.robustness import (
+    adaptation_effects,
+    false_positives_over,
+    findings_over,
+    influential_assumptions,
+    outcomes_of,
+    scores_of,
+)
 from tests.airhockey_marl.commands.test_cli import smoke
 from tests.guidance.statistics.test_report import synthetic_trials
 from tests.processes import start
@@ -30,7 +37,7 @@ def test_shares_count_studies(outcomes):
         assert row.median == pytest.approx(mine["dz_toward_paper"].median())
         assert (row.metric == "comfort") == (row.withdrawn == 1)
     assert findings["replicated"].max() > 0
-    assert len(wrong_over(outcomes)) == 63
+    assert len(false_positives_over(outcomes)) == 63
 
 
 def test_a_positive_effect_is_one_in_the_papers_direction(outcomes):
@@ -47,7 +54,7 @@ def test_scores_add_up(outcomes):
 
 
 def test_what_ua_changes_is_the_effect_of_e_over_d(outcomes):
-    found = ua_over(outcomes).set_index("metric")
+    found = adaptation_effects(outcomes).set_index("metric")
     pair = outcomes[(outcomes["x"] == "d") & (outcomes["y"] == "e") & (outcomes["metric"] == "win_rate")]
     assert found.loc["win_rate", "mean"] == pytest.approx(-pair["dz"].mean())
     low, high = found.loc["win_rate", ["low", "high"]]
@@ -60,7 +67,7 @@ def test_the_assumption_that_matters_is_found(outcomes):
     studies = pd.concat([outcomes[outcomes["study"] == 0].assign(study=k) for k in range(40)], ignore_index=True)
     factors = pd.DataFrame(rng.random((40, 5)), columns=list("abcde"))
     studies["dz_toward_paper"] = studies["study"].map(factors["c"]) + 0.05 * rng.standard_normal(len(studies))
-    found = leans_on(studies, factors, strongest=1)
+    found = influential_assumptions(studies, factors, strongest=1)
     assert len(found) == 38 and (found["parameter"] == "c").all() and (found["correlation"] > 0.9).all()
     assert (found["p"] < 0.001).all()
 
@@ -126,7 +133,7 @@ def test_a_ray_cluster_gives_the_same_bits(tmp_path, monkeypatch):
     ],
 )
 def test_wrong_settings_end_in_one_line_before_any_work(monkeypatch, capsys, tmp_path, argument, message):
-    monkeypatch.setattr(replicate, "run_studies", None)
+    monkeypatch.setattr("guidance.study.replication.run_studies", None)
     monkeypatch.setattr("sys.argv", ["replicate", f"hydra.run.dir={tmp_path}/run", *argument.split()])
     with pytest.raises(SystemExit) as stopped:
         replicate.main()
