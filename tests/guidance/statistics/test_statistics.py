@@ -8,23 +8,23 @@ import pingouin
 import pytest
 from scipy import stats as scipy_stats
 
-from guidance.statistics import tests as stats
+from guidance.statistics.design import CONDITIONS, METRICS
+from guidance.statistics.paper import compare_with_paper, count_findings, published_results, reference_points
+from guidance.statistics.tests import run_tests
 
-LETTER = {name: condition.letter for name, condition in stats.CONDITIONS.items()}
+LETTER = {name: condition.letter for name, condition in CONDITIONS.items()}
 
 
-def synthetic_trials(seed: int = 0, users: int = 20, effect: float = 0.0, conditions=tuple(stats.CONDITIONS)):
+def synthetic_trials(seed: int = 0, users: int = 20, effect: float = 0.0, conditions=tuple(CONDITIONS)):
     """Participants with a level of their own, conditions that differ by `effect` SD per letter on every metric."""
     rng = np.random.default_rng(seed)
-    level = rng.normal(size=(users, len(stats.METRICS)))
+    level = rng.normal(size=(users, len(METRICS)))
     rows = []
     for user in range(users):
         for condition in conditions:
             step = effect * "abcdefghi".index(LETTER[condition])
-            scores = 4 + level[user] + rng.normal(size=len(stats.METRICS)) + step
-            rows.append(
-                {"user": f"S{user + 1:02d}", "condition": condition} | dict(zip(stats.METRICS, scores, strict=True))
-            )
+            scores = 4 + level[user] + rng.normal(size=len(METRICS)) + step
+            rows.append({"user": f"S{user + 1:02d}", "condition": condition} | dict(zip(METRICS, scores, strict=True)))
     trials = pd.DataFrame(rows)
     trials.loc[trials["condition"] == "nhg", "mean_disagreement"] = np.nan
     return trials
@@ -34,7 +34,7 @@ def trials_of(columns: dict[str, list[float]], metric: str = "win_rate") -> pd.D
     """Trials whose `metric` is given per condition; the other metrics are undefined."""
     wide = pd.DataFrame(columns, index=[f"S{i:02d}" for i in range(len(next(iter(columns.values()))))], dtype=float)
     tidy = wide.rename_axis("user").reset_index().melt("user", var_name="condition", value_name=metric)
-    return tidy.assign(**{name: np.nan for name in stats.METRICS if name != metric})
+    return tidy.assign(**{name: np.nan for name in METRICS if name != metric})
 
 
 def one(tests: pd.DataFrame, **values) -> pd.Series:
@@ -55,7 +55,7 @@ def test_anova_agrees_with_spss():
         "uphg_ua": [90, 100, 110, 90, 100],
         "uphg_ut_ua": [130, 100, 109, 109, 130],
     }
-    anova = one(stats.run_tests(trials_of(columns)), metric="win_rate", test="rm_anova")
+    anova = one(run_tests(trials_of(columns)), metric="win_rate", test="rm_anova")
     assert (anova["n"], anova["df1"], anova["df2"]) == (5, 2, 8)
     assert anova["statistic"] == pytest.approx(4.725, abs=5e-4)
     assert anova["p"] == pytest.approx(0.044, abs=5e-4)
@@ -72,7 +72,7 @@ def test_anova_of_four_levels_drops_incomplete_participants():
     trials = trials_of(columns).dropna(subset="win_rate")
     every = pd.MultiIndex.from_product([trials["user"].unique(), columns], names=["user", "condition"])
     trials = trials.set_index(["user", "condition"]).reindex(every).reset_index()
-    anova = one(stats.run_tests(trials), family="types", metric="win_rate", test="rm_anova")
+    anova = one(run_tests(trials), family="types", metric="win_rate", test="rm_anova")
     assert trials["user"].nunique() == 12
     assert anova["n"] == 9
     assert (anova["df1"], anova["df2"]) == (3, 24)
@@ -87,7 +87,7 @@ def test_paired_t_agrees_with_student():
         "oahg": [1.9, 0.8, 1.1, 0.1, -0.1, 4.4, 5.5, 1.6, 4.6, 3.4],
         "oahg_ut": [0.7, -1.6, -0.2, -1.2, -0.1, 3.4, 3.7, 0.8, 0.0, 2.0],
     }
-    row = one(stats.run_tests(trials_of(columns)), metric="win_rate", test="paired_t")
+    row = one(run_tests(trials_of(columns)), metric="win_rate", test="paired_t")
     assert row["statistic"] == pytest.approx(4.0621, abs=5e-5)
     assert row["p"] == row["p_corrected"] == pytest.approx(0.002833, abs=5e-7)
     assert (row["ci_low"], row["ci_high"]) == pytest.approx((0.7001, 2.4599), abs=5e-5)
@@ -97,14 +97,14 @@ def test_paired_t_agrees_with_student():
 
 def test_paper_reports_partial_eta_squared():
     """Every F of section 5 gives its eta squared as F df1 / (F df1 + df2): the effect size is the partial one."""
-    paper = stats.published("anova")
+    paper = published_results("anova")
     partial = paper["f"] * paper["df1"] / (paper["f"] * paper["df1"] + paper["df2"])
     assert len(paper) == 20
     assert (partial - paper["eta_squared"]).abs().max() < 0.0015
 
 
 def test_our_eta_squared_is_the_papers():
-    anova = stats.run_tests(synthetic_trials(effect=0.2)).query("test == 'rm_anova'")
+    anova = run_tests(synthetic_trials(effect=0.2)).query("test == 'rm_anova'")
     effect = anova["statistic"] * anova["df1"]
     assert len(anova) == 24
     np.testing.assert_allclose(anova["eta_squared"], effect / (effect + anova["df2"]))
@@ -112,10 +112,10 @@ def test_our_eta_squared_is_the_papers():
 
 def test_which_pairs_are_tested():
     """The pairs and their number are the paper's 101; NHG has no disagreement."""
-    tests = stats.run_tests(synthetic_trials())
+    tests = run_tests(synthetic_trials())
     pairs = tests[tests["test"] != "rm_anova"]
     key = ["family", "metric", "kind", "x", "y"]
-    paper = stats.published("grid")
+    paper = published_results("grid")
     assert set(pairs[key].itertuples(index=False, name=None)) == set(paper[key].itertuples(index=False, name=None))
     assert len(pairs) == len(paper) == 101
     assert one(tests, family="types", metric="mean_disagreement", test="rm_anova")["df2"] == 38
@@ -133,7 +133,7 @@ def test_ranks_agree_with_conover():
     for user, row in zip(users, ranks, strict=True):
         for condition, rank in zip(("nhg", "oahg_ut", "uphg_ut_ua", "combhg_ut_ua_sc"), row, strict=True):
             trials.loc[(user, condition), "comfort"] = rank
-    tests = stats.run_tests(trials.reset_index())
+    tests = run_tests(trials.reset_index())
     anova = tests.query("family == 'types' and metric == 'comfort' and test == 'rm_anova'").iloc[0]
     assert anova["rank_statistic"] == pytest.approx(8.097, abs=5e-4)
     assert anova["rank_p"] == pytest.approx(0.044, abs=5e-4)
@@ -146,16 +146,16 @@ def test_ranks_agree_with_conover():
 def test_other_conditions_meet_the_types_and_leave_the_paper_alone():
     nine = synthetic_trials(effect=0.2)
     mine = nine[nine["condition"] == "oahg_ut"].assign(condition="mine", win_rate=lambda t: 2 * t["win_rate"] + 5)
-    tests, before = stats.run_tests(pd.concat([nine, mine])), stats.run_tests(nine)
+    tests, before = run_tests(pd.concat([nine, mine])), run_tests(nine)
     assert tests[tests["family"] != "beyond"].reset_index(drop=True).equals(before)
     beyond = tests[(tests["family"] == "beyond") & (tests["metric"] == "win_rate")]
     assert len(beyond) == 1 + 10 and set(beyond["y"]) == {"", "c", "f", "i", "j"}
     assert beyond.loc[beyond["y"] == "j", "significant"].all()
-    assert stats.compare_with_paper(tests).equals(stats.compare_with_paper(before))
+    assert compare_with_paper(tests).equals(compare_with_paper(before))
 
 
 def test_dz_t_and_interval_identities():
-    pairs = stats.run_tests(synthetic_trials(effect=0.1)).query("test != 'rm_anova'")
+    pairs = run_tests(synthetic_trials(effect=0.1)).query("test != 'rm_anova'")
     n = pairs["n"]
     np.testing.assert_allclose(pairs["statistic"], pairs["dz"] * np.sqrt(n))
     half = scipy_stats.t.isf(0.025, n - 1) * pairs["mean_difference"] / pairs["statistic"]
@@ -165,7 +165,7 @@ def test_dz_t_and_interval_identities():
 
 
 def test_bonferroni_and_gate():
-    tests = stats.run_tests(synthetic_trials(effect=0.12))
+    tests = run_tests(synthetic_trials(effect=0.12))
     posthoc = tests[tests["test"] == "posthoc"]
     m = posthoc.groupby(["family", "metric"])["p"].transform("size")
     assert set(m) == {3, 6}
@@ -181,7 +181,7 @@ def test_bonferroni_and_gate():
 def test_missing_value_is_listwise_within_family_and_metric():
     trials = synthetic_trials()
     trials.loc[(trials["user"] == "S03") & (trials["condition"] == "uphg"), "defense_rate"] = np.nan
-    n = stats.run_tests(trials).groupby(["family", "metric"])["n"].agg(["min", "max"])
+    n = run_tests(trials).groupby(["family", "metric"])["n"].agg(["min", "max"])
     assert tuple(n.loc[("UPHG", "defense_rate")]) == (19, 19)
     assert (n.drop(("UPHG", "defense_rate")) == 20).all(axis=None)
 
@@ -190,13 +190,13 @@ def test_missing_games_are_refused():
     trials = synthetic_trials(users=5)
     hole = (trials["user"] == "S02") & (trials["condition"].isin(["uphg", "nhg"]))
     with pytest.raises(ValueError, match=r"S02 lacks nhg, uphg$"):
-        stats.run_tests(trials[~hole])
+        run_tests(trials[~hole])
 
 
 def test_repeated_games_are_refused():
     trials = synthetic_trials(users=5)
     with pytest.raises(ValueError, match=r"condition: S01 nhg, S01 oahg$"):
-        stats.run_tests(pd.concat([trials, trials.iloc[:2]]))
+        run_tests(pd.concat([trials, trials.iloc[:2]]))
 
 
 @pytest.mark.parametrize(
@@ -206,33 +206,33 @@ def test_wrong_values_are_refused(column, value, message):
     trials = synthetic_trials(users=4)
     trials.loc[trials.index[0], column] = value
     with pytest.raises(ValueError, match=message):
-        stats.run_tests(trials)
+        run_tests(trials)
 
 
 def test_absent_conditions_skip_their_families():
-    tests = stats.run_tests(synthetic_trials(conditions=("nhg", "oahg", "oahg_ut")))
+    tests = run_tests(synthetic_trials(conditions=("nhg", "oahg", "oahg_ut")))
     assert set(tests["family"]) == {"OAHG"}
-    assert stats.run_tests(synthetic_trials(conditions=("nhg",))).empty
+    assert run_tests(synthetic_trials(conditions=("nhg",))).empty
 
 
 def test_too_few_participants_give_an_empty_table():
-    tests = stats.run_tests(synthetic_trials(users=2))
+    tests = run_tests(synthetic_trials(users=2))
     assert tests.empty
-    assert list(tests.columns) == list(stats.run_tests(synthetic_trials(users=3)).columns)
-    assert stats.compare_with_paper(tests)["outcome"].eq("not_tested").all()
+    assert list(tests.columns) == list(run_tests(synthetic_trials(users=3)).columns)
+    assert compare_with_paper(tests)["outcome"].eq("not_tested").all()
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.1])
 def test_differences_that_do_not_vary(shift):
     """The same game in every condition, or one that differs by a constant: no statistic and no warning."""
     trials = synthetic_trials(conditions=("nhg",), users=6).drop(columns="condition").fillna(1.0)
-    letters = enumerate(stats.CONDITIONS)
+    letters = enumerate(CONDITIONS)
     same = pd.concat(
         trials.set_index("user").add(shift * i).reset_index().assign(condition=name) for i, name in letters
     )
     with warnings.catch_warnings():
         warnings.simplefilter("error", RuntimeWarning)
-        tests = stats.run_tests(same)
+        tests = run_tests(same)
     assert len(tests) == 125
     assert tests[["statistic", "p", "p_corrected", "dz"]].isna().all(axis=None)
     assert not tests["significant"].any()
@@ -241,10 +241,10 @@ def test_differences_that_do_not_vary(shift):
 
 def test_two_identical_conditions_of_three():
     trials = synthetic_trials(effect=1.0, conditions=("uphg", "uphg_ua", "uphg_ut_ua"))
-    trials.loc[trials["condition"] == "uphg_ua", list(stats.METRICS)] = trials.loc[
-        trials["condition"] == "uphg", list(stats.METRICS)
+    trials.loc[trials["condition"] == "uphg_ua", list(METRICS)] = trials.loc[
+        trials["condition"] == "uphg", list(METRICS)
     ].to_numpy()
-    tests = stats.run_tests(trials)
+    tests = run_tests(trials)
     same = tests[(tests["x"] == "d") & (tests["y"] == "e")]
     assert same["statistic"].isna().all() and not same["significant"].any() and not same["anova_not_significant"].any()
     assert tests.loc[tests["test"] == "rm_anova", "significant"].all()
@@ -257,7 +257,7 @@ def test_shuffled_labels_give_nominal_false_positives():
     p_pairs, p_anova, significant = [], [], []
     for _ in range(15):
         shuffled = trials.assign(condition=trials.groupby("user")["condition"].transform(rng.permutation))
-        tests = stats.run_tests(shuffled)
+        tests = run_tests(shuffled)
         p_pairs += tests.loc[tests["test"] != "rm_anova", "p"].tolist()
         p_anova += tests.loc[tests["test"] == "rm_anova", "p_corrected"].tolist()
         significant += tests.loc[tests["test"] == "posthoc", "significant"].tolist()
@@ -280,7 +280,7 @@ def paper_trials(strength: float = 3.0, users: int = 20) -> pd.DataFrame:
 
 
 def test_comparison_with_the_paper():
-    comparison = stats.compare_with_paper(stats.run_tests(paper_trials()))
+    comparison = compare_with_paper(run_tests(paper_trials()))
     assert len(comparison) == 101
     assert comparison["id"].tolist()[:38] == [f"C{i:02d}" for i in range(1, 39)]
     outcome = comparison.set_index(["family", "metric", "x", "y"])["outcome"]
@@ -292,19 +292,19 @@ def test_comparison_with_the_paper():
     assert outcome["CombHG", "win_rate", "g", "h"] == "agrees"
 
     reversed_trials = paper_trials(strength=-3.0)
-    against = stats.compare_with_paper(stats.run_tests(reversed_trials)).set_index(["family", "metric", "x", "y"])
+    against = compare_with_paper(run_tests(reversed_trials)).set_index(["family", "metric", "x", "y"])
     assert against.loc[("UPHG", "win_rate", "d", "f"), "outcome"] == "reversed"
     assert against.loc[("UPHG", "win_rate", "d", "f"), "greater"] == "d"
 
 
 def test_comparison_without_some_conditions():
-    comparison = stats.compare_with_paper(stats.run_tests(paper_trials().query("condition.str.contains('uphg')")))
+    comparison = compare_with_paper(run_tests(paper_trials().query("condition.str.contains('uphg')")))
     assert (comparison["outcome"].eq("not_tested") == comparison["family"].ne("UPHG")).all()
 
 
 def test_summary_counts_every_cell_once():
-    comparison = stats.compare_with_paper(stats.run_tests(paper_trials()))
-    counts = stats.summary(comparison)
+    comparison = compare_with_paper(run_tests(paper_trials()))
+    counts = count_findings(comparison)
     assert counts["cells"].to_dict() == {"M": 8, "P": 9, "S": 18, "S0": 3, "all": 38, "none": 63}
     classes = counts.loc[["M", "P", "S", "S0"]]
     assert (classes.sum() == counts.loc["all"]).all()
@@ -315,7 +315,7 @@ def test_summary_counts_every_cell_once():
 
 def test_reference_points():
     """By hand: 1 test alone, 20 findings among 3 comparisons and 17 among 6, each with half of .05 / m."""
-    by_chance, rerun = stats.reference_points()
+    by_chance, rerun = reference_points()
     assert by_chance == pytest.approx(0.025 * (1 + 20 / 3 + 17 / 6))
     assert rerun == pytest.approx(31, abs=0.5)
-    assert stats.reference_points(n=200)[1] == pytest.approx(38, abs=0.01)
+    assert reference_points(n=200)[1] == pytest.approx(38, abs=0.01)
