@@ -121,7 +121,7 @@ class Mixture:
         weighted = [
             share * sampler.probabilities(standing) for sampler, share in zip(self.samplers, self.shares, strict=True)
         ]
-        return sum(weighted) / sum(self.shares)
+        return np.asarray(sum(weighted)) / sum(self.shares)
 
 
 @OPPONENT_SAMPLERS.register("curriculum")

@@ -64,6 +64,7 @@ class BlendedGuidance:
         # each force is weighed already
         optimal, w_optimal = SpringGuidance(OPTIMAL, spring, thresholds[OPTIMAL]).pull(hand, predictions[OPTIMAL])
         user, w_user = SpringGuidance(ADAPTED, spring, thresholds[USER]).pull(hand, predictions[ADAPTED])
+        assert w_optimal is not None and w_user is not None  # both have thresholds
         strength = torch.maximum(w_optimal, w_user) / (w_optimal + w_user).clamp(min=1e-12)
         return GuidanceOutput(strength.unsqueeze(-1) * (optimal + user), w_optimal, w_user)
 

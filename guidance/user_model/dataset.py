@@ -47,7 +47,7 @@ def people_table(people: np.ndarray, archetypes: list[str]) -> pd.DataFrame:
     """A row per person of `people` (users,): every parameter in SI units, of an array each element (worth_0_1)."""
     check_arrays("V", people=(people, "n"))
     columns = {"user": np.arange(len(people))}
-    for name in people.dtype.names:
+    for name in people.dtype.names or ():
         for place in np.ndindex(people[name].shape[1:]):
             columns["_".join([name, *map(str, place)])] = people[name][:, *place]
     return pd.DataFrame({**columns, "archetype": [archetypes[number] for number in people["archetype"]]})
