@@ -28,8 +28,9 @@ def one_line(done: subprocess.CompletedProcess, *parts: str) -> None:
 
 
 def test_a_folder_that_is_in_use_is_refused_and_given_free_with_its_process(tmp_path):
-    hold = "import sys, time; from pathlib import Path; from airhockey_marl.experiment.run_folder import locked\n"
-    hold += "with locked(Path(sys.argv[1]), 'run'):\n    print('held', flush=True)\n    time.sleep(600)"
+    hold = "import sys, time; from pathlib import Path; "
+    hold += "from airhockey_marl.experiment.run_folder import lock_run_folder\n"
+    hold += "with lock_run_folder(Path(sys.argv[1]), 'run'):\n    print('held', flush=True)\n    time.sleep(600)"
     holder = subprocess.Popen([sys.executable, "-c", hold, str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE)
     try:
         assert holder.stdout.readline() == b"held\n"

@@ -231,7 +231,7 @@ def test_loaded_demonstrations_are_a_copy(folder, wanted):
     ],
 )
 def test_wrong_values_end_in_one_line_before_any_play(monkeypatch, capsys, tmp_path, argument, message):
-    monkeypatch.setattr(demonstrations, "collect", lambda *args: pytest.fail("played"))
+    monkeypatch.setattr(demonstrations, "collect_demonstrations", lambda *args: pytest.fail("played"))
     with pytest.raises(SystemExit) as stopped:
         run(tmp_path / "run", argument)
     shown = capsys.readouterr().err
