@@ -64,7 +64,7 @@ def main(cfg: DictConfig) -> None:
         if not all(isinstance(seconds, float) and 0 <= seconds <= 1 for seconds in cfg.stability.lookaheads):
             raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers from 0 to 1")
         people = training_people(cfg.seed, construct(Population, cfg.users.population, "users.population"))
-        mentors = load_advisors(cfg.users.mentors)
+        advisors = load_advisors(cfg.users.advisors)
         protocol = replace(construct(Protocol, cfg.study, "study"), familiarization=0)
         models = load_models(cfg)
         league = League.load(cfg.models.opponents)
@@ -80,7 +80,7 @@ def main(cfg: DictConfig) -> None:
             for p in (RandomStream.USER, RandomStream.TABLE)
         ]
         minds, serves = (np.concatenate(part) for part in keys)
-        seated = SimulatedUsers(np.repeat(people, cfg.games), minds, TableSpec(), cfg.users.variant, mentors)
+        seated = SimulatedUsers(np.repeat(people, cfg.games), minds, TableSpec(), cfg.users.variant, advisors)
         opponent = greedy_player(league.player(generation))
         return play_games(seated, opponent, no_force, protocol, TableSpec(), serves, demonstrations)
 

@@ -29,7 +29,7 @@ from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from guidance.simulated_users import Population, load_advisors, sample_people, training_people
-from guidance.simulated_users.force_response import Variant
+from guidance.simulated_users.force_response import check_variant
 from guidance.study import demonstrations
 from guidance.user_model.data import Demonstrations
 from guidance.user_model.dataset import (
@@ -57,8 +57,7 @@ def check(cfg: DictConfig) -> None:
     require_counts(cfg, "seed", "opponent", least=0)
     if cfg.people not in ("training", "study"):
         raise InputError(f"people = {cfg.people} must be training or study")
-    if cfg.users.variant not in Variant.__members__:
-        raise InputError(f"users.variant = {cfg.users.variant} must be one of {', '.join(Variant.__members__)}")
+    check_variant(cfg.users.variant)
 
 
 @command("collect")
@@ -73,12 +72,12 @@ def main(cfg: DictConfig) -> None:
             raise InputError(f"hydra.run.dir = {folder} must be a folder without {TENSORS}/: data are not replaced")
         population: Population = construct(Population, cfg.users.population, "users.population")
         draw = training_people if cfg.people == "training" else partial(sample_people, cfg.participants)
-        people, mentors = draw(cfg.seed, population), load_advisors(cfg.users.mentors)
+        people, advisors = draw(cfg.seed, population), load_advisors(cfg.users.advisors)
     torch.set_num_threads(cfg.threads)
     progress, table, sizes = ProgressBar(), TableSpec(), (cfg.demonstrations.games, cfg.demonstrations.ticks)
     told, opponent = partial(progress, f"{len(people)} people play"), greedy_player(league.player(cfg.opponent))
     data = demonstrations.collect_demonstrations(
-        people, opponent, *sizes, table, cfg.users.variant, mentors, cfg.seed, told
+        people, opponent, *sizes, table, cfg.users.variant, advisors, cfg.seed, told
     )
     progress.close()
     who = people_table(people, list(population.archetypes))

@@ -94,7 +94,7 @@ def main(cfg: DictConfig) -> float:
         check(cfg)
         check_variant(cfg.users.variant)
         population: Population = construct(Population, cfg.users.population, "users.population")
-        mentors = load_advisors(cfg.users.mentors)
+        advisors = load_advisors(cfg.users.advisors)
         opponent = load_opponent(cfg)
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
@@ -102,14 +102,14 @@ def main(cfg: DictConfig) -> float:
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
 
     with lock_run_folder(folder, "run"):
-        return run(cfg, folder, population, mentors, opponent, meta, user)
+        return run(cfg, folder, population, advisors, opponent, meta, user)
 
 
 def run(
     cfg: DictConfig,
     folder: Path,
     population: Population,
-    mentors: Advisors,
+    advisors: Advisors,
     opponent: nn.Module,
     meta: nn.Module,
     user: nn.Module,
@@ -123,7 +123,7 @@ def run(
 
     def play(people: np.ndarray, seed: int, what: str) -> Demonstrations:
         told = partial(progress, what)
-        how = {"table": TableSpec(), "variant": cfg.users.variant, "advisors": mentors, "seed": seed}
+        how = {"table": TableSpec(), "variant": cfg.users.variant, "advisors": advisors, "seed": seed}
         return collect_demonstrations(people, opponent, **cfg.demonstrations, **how, progress=told)
 
     data = play(training_people(cfg.seed, population), cfg.seed, "nine people play")

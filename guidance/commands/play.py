@@ -73,8 +73,8 @@ def main(cfg: DictConfig) -> None:
         if cfg.device.kind == "simulated":
             check_variant(cfg.users.variant)
             population: Population = construct(Population, cfg.users.population, "users.population")
-            people, mentors = sample_people(1, cfg.seed, population), load_advisors(cfg.users.mentors)
-            person = SimulatedUsers(people, minds, TableSpec(), cfg.users.variant, mentors)
+            people, advisors = sample_people(1, cfg.seed, population), load_advisors(cfg.users.advisors)
+            person = SimulatedUsers(people, minds, TableSpec(), cfg.users.variant, advisors)
     torch.set_num_threads(cfg.threads)
     folder, clock, table = Path(HydraConfig.get().runtime.output_dir), WallClock(), TableSpec()
     keys = {key: f"({condition.letter}) {condition.label}" for key, condition in conditions.items()} | KEYS

@@ -1,7 +1,7 @@
 """Report how well people are predicted whom no model has been trained on: by whom, how far ahead, and what UA adds.
 
     airhockey prediction_report                       20 people, the shipped models
-    airhockey prediction_report users.variant=V0      people of another kind
+    airhockey prediction_report users.variant=passive      people of another kind
     airhockey prediction_report +preset=smoke         seconds, to see that it runs
 
 Writes into its run folder: prediction.json (every number, with 95 % intervals over people), ahead.png, adaptation.png,
@@ -85,13 +85,13 @@ def main(cfg: DictConfig) -> None:
     with report_input_errors():
         check(cfg)
         population: Population = construct(Population, cfg.users.population, "users.population")
-        mentors = load_advisors(cfg.users.mentors)
+        advisors = load_advisors(cfg.users.advisors)
         models = load_models(cfg)
         opponent = load_opponent(cfg)
     torch.set_num_threads(cfg.threads)
     progress, table = ProgressBar(), TableSpec()
     people = sample_people(cfg.participants, cfg.seed, population)
-    sizes, how = (cfg.demonstrations.games, cfg.demonstrations.ticks), (table, cfg.users.variant, mentors, cfg.seed)
+    sizes, how = (cfg.demonstrations.games, cfg.demonstrations.ticks), (table, cfg.users.variant, advisors, cfg.seed)
     data = collect_demonstrations(people, opponent, *sizes, *how, partial(progress, "people play"))
     progress("predictions", 0.0)
     found = {

@@ -1,7 +1,7 @@
 """Measure the simulated people as people have been measured, before any guidance: a virtual laboratory.
 
     airhockey validate_users                       40 people in the laboratory, 120 at the table
-    airhockey validate_users users.variant=V2      another answer to forces
+    airhockey validate_users users.variant=goal_sharing      another answer to forces
     airhockey validate_users +preset=smoke         seconds, to see that it runs
 
 Prints each measure beside the human range and its source. Writes battery.csv (the same) and four figures into its run
@@ -71,15 +71,15 @@ def main(cfg: DictConfig) -> None:
         require_numbers(cfg, "play_seconds", least=10.0)
         check_variant(cfg.users.variant)
         population: Population = construct(Population, cfg.users.population, "users.population")
-        mentors = load_advisors(cfg.users.mentors)
+        advisors = load_advisors(cfg.users.advisors)
         opponent = load_opponent(cfg)
     torch.set_num_threads(cfg.threads)
     people = sample_people(cfg.laboratory, cfg.seed, population)
     found, data = in_the_laboratory(people, cfg.users.variant, cfg.seed)
     styles, play = at_the_table(
-        population, cfg.per_style, cfg.play_seconds, opponent, cfg.users.variant, mentors, cfg.seed
+        population, cfg.per_style, cfg.play_seconds, opponent, cfg.users.variant, advisors, cfg.seed
     )
-    skills = by_skill(population, 6 * cfg.per_style, opponent, cfg.users.variant, mentors, cfg.seed)
+    skills = by_skill(population, 6 * cfg.per_style, opponent, cfg.users.variant, advisors, cfg.seed)
     table = as_table({**found, **styles, **skills})
     folder = Path(HydraConfig.get().runtime.output_dir)
     with atomic_write(folder / "battery.csv") as temporary:
@@ -125,12 +125,12 @@ def at_the_table(
     seconds: float,
     opponent: Player,
     variant: str,
-    mentors: Advisors,
+    advisors: Advisors,
     seed: int,
 ) -> tuple[dict[str, np.ndarray], list[Tensor]]:
     """The measures of unguided play, and the play of each archetype (people, ticks, 12)."""
     table = TableSpec()
-    ticks, how = round(seconds / table.tick), (table, variant, mentors)
+    ticks, how = round(seconds / table.tick), (table, variant, advisors)
 
     def games(number: int, seed: int, population: Population, archetype: str | None):
         """Two games of each of `number` people."""
@@ -155,7 +155,7 @@ def at_the_table(
 
 
 def by_skill(
-    population: Population, number: int, opponent: Player, variant: str, mentors: Advisors, seed: int
+    population: Population, number: int, opponent: Player, variant: str, advisors: Advisors, seed: int
 ) -> dict[str, np.ndarray]:
     """Rounds won and shots stopped by `number` people of each of `SKILLS`, a value per person each."""
     table, won, stopped = TableSpec(), {}, {}
@@ -165,7 +165,7 @@ def by_skill(
             spawn_rng_states(seed, range(number), SKILL_TRIAL + trial, stream)
             for stream in (RandomStream.USER, RandomStream.TABLE)
         )
-        users = SimulatedUsers(people, minds, table, variant, mentors)
+        users = SimulatedUsers(people, minds, table, variant, advisors)
         results = play_games(users, opponent, no_force, GAME, table, serves).results
         won[f"rounds won, skill {skill:+.1f}"] = results["win_rate"]
         stopped[f"shots stopped, skill {skill:+.1f}"] = results["defense_rate"]

@@ -29,7 +29,7 @@ NO_ADVISORS = Advisors(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
 
 @torch.no_grad()
 def stack_advisors(league: League) -> Advisors:
-    """All generations of a league as mentors; the scaling of the inputs becomes part of the first layer."""
+    """All generations of a league as advisors; the scaling of the inputs becomes part of the first layer."""
     inputs = league.policy.inputs(torch.eye(12)).T.double()
     layers = [f"layers.{2 * index}" for index in range(len(league.policy.hidden))] + ["head"]
     rows = []
@@ -42,7 +42,7 @@ def stack_advisors(league: League) -> Advisors:
 
 
 def load_advisors(path: Path | str | None) -> Advisors:
-    """The mentors in a league's file; nobody for None.
+    """The advisors in a league's file; nobody for None.
 
     Raises:
         ValueError: the file is missing or broken.
@@ -51,12 +51,12 @@ def load_advisors(path: Path | str | None) -> Advisors:
 
 
 @njit(cache=True)
-def advised_action(mentors, skill, state):
+def advised_action(advisors, skill, state):
     """The mean action (x, y) that someone of this skill has learned to think of at this state (12,).
 
     The share of people who are less skilled picks the generation: half of them for the median person.
     """
     share = 0.5 * (1.0 + erf(skill / sqrt(2.0)))
-    model = mentors.weights[int(share * (len(mentors.weights) - 1) + 0.5)]
-    mean = mlp_forward_blas(state, mentors.sizes, model)
+    model = advisors.weights[int(share * (len(advisors.weights) - 1) + 0.5)]
+    mean = mlp_forward_blas(state, advisors.sizes, model)
     return min(max(mean[0], -1.0), 1.0), min(max(mean[1], -1.0), 1.0)

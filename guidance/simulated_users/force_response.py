@@ -1,9 +1,10 @@
 """How a person answers the force at the hand, after the delay of touch.
 
 Three variants, always reported together, because the literature disagrees:
-    V0: the arm is passive.
-    V1: conflict stiffens the arm and is pushed back; support is slacked on.
-    V2: V1, and the force is read as a partner's goal, which moves the own goal as far as the partner is trusted.
+    passive: only the arm's mechanics respond.
+    comply_or_resist: conflict stiffens the arm and is pushed back; supporting force replaces own effort.
+    goal_sharing: comply_or_resist, and the force is read as a partner's goal, which moves the own goal as far as the
+        partner is trusted.
 """
 
 from enum import IntEnum
@@ -15,9 +16,9 @@ from numba import njit
 class Variant(IntEnum):
     """Which of the three models of a person's answer."""
 
-    V0 = 0
-    V1 = 1
-    V2 = 2
+    passive = 0
+    comply_or_resist = 1
+    goal_sharing = 2
 
 
 def check_variant(name: str) -> None:
@@ -53,7 +54,7 @@ def respond_to_force(person, mind, hand_x, hand_y, felt_x, felt_y, variant, tick
         The conflict, N.
     """
     support, conflict = agreement(person, felt_x, felt_y, mind.goal_x - hand_x, mind.goal_y - hand_y)
-    if variant == Variant.V0:
+    if variant == Variant.passive:
         return conflict
     tense = min(conflict / person.full_conflict, 1.0)
     mind.co_contraction += (1.0 - exp(-tick / person.stiffening_lag)) * (tense - mind.co_contraction)

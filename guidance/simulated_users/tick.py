@@ -111,12 +111,12 @@ def aim_anew(mind, rng, index):
 
 
 @njit(cache=True)
-def decide(person, mind, arm, percept, situation, mentors, table, path, worth, rng, index):
+def decide(person, mind, arm, percept, situation, advisors, table, path, worth, rng, index):
     """Draw an intention; another one than the present becomes effective after the decision delay."""
     mind.sees_bounces = 1 if random_unit(rng, index) < person.bounce_insight else 0
     mind.threatened = predict_puck(person, mind, percept, person.sight_delay, table, path) >= 0
     compute_utilities(person, mind, arm, percept, path, situation, mind.threatened, table, worth)
-    take_advice(person, mind, arm, percept, mentors, table, path, worth)
+    take_advice(person, mind, arm, percept, advisors, table, path, worth)
     drawn = sample_softmax(worth, person.choice_temperature, rng, index)
     unsteady = exp(person.delay_noise * standard_normal(rng, index))
     waiting = -log(1.0 - random_unit(rng, index)) * person.idle
@@ -130,13 +130,13 @@ def decide(person, mind, arm, percept, situation, mentors, table, path, worth, r
 
 
 @njit(cache=True)
-def take_advice(person, mind, arm, percept, mentors, table, path, worth):
-    """Add to the `worth` (INTENTIONS,) of each intention how far it goes where a mentor would go, -1 to 1 of `advice`.
+def take_advice(person, mind, arm, percept, advisors, table, path, worth):
+    """Add to the `worth` (INTENTIONS,) of each intention how far it goes where an advisor would go, -1 to 1 of `advice`.
 
-    The mentor is a generation of a league, the later the more skilled the person is; it is asked about the situation as
+    The advisor is a generation of a league, the later the more skilled the person is; it is asked about the situation as
     this person sees it.
     """
-    if len(mentors.weights) == 0 or person.advice == 0.0:
+    if len(advisors.weights) == 0 or person.advice == 0.0:
         return
     paddle_x, paddle_y = to_table(arm.sensed_x, arm.sensed_y, table)
     gain_x, gain_y = to_hand(1.0 - table.length / 4, 1.0, table)
@@ -144,7 +144,7 @@ def take_advice(person, mind, arm, percept, mentors, table, path, worth):
     seen[OWN], seen[OWN + 1] = paddle_x, paddle_y
     seen[OWN + 2], seen[OWN + 3] = arm.sensed_v_x / gain_x, arm.sensed_v_y / gain_y
     seen[PUCK : PUCK + 4] = path[0]
-    advised_x, advised_y = advised_action(mentors, person.skill, seen)
+    advised_x, advised_y = advised_action(advisors, person.skill, seen)
     away_x, away_y = HAND_REACH * advised_x - arm.sensed_x, HAND_REACH * advised_y - arm.sensed_y
     present = mind.intention
     for intention in range(INTENTIONS):
@@ -227,7 +227,7 @@ def plan(person, mind, arms, percept, felt, variant, table, path, rng, index):
     gain_x, gain_y = to_hand(1.0 - table.length / 4, 1.0, table)
     goal_x, goal_y = mind.goal_x, mind.goal_y
     begin_plan(shadow, person, goal_x, goal_y, vx * gain_x, vy * gain_y, seconds)
-    if variant == Variant.V2:
+    if variant == Variant.goal_sharing:
         goal_x, goal_y = shared_goal(person, mind, arm.sensed_x, arm.sensed_y, felt[0], felt[1])
     begin_plan(arm, person, goal_x, goal_y, vx * gain_x, vy * gain_y, seconds)
     reset_forward_model(arms[2], arm)
@@ -235,7 +235,7 @@ def plan(person, mind, arms, percept, felt, variant, table, path, rng, index):
 
 
 @njit(cache=True)
-def update(person, mind, arms, percept, before, felt, variant, mentors, table, path, worth, rng, index):
+def update(person, mind, arms, percept, before, felt, variant, advisors, table, path, worth, rng, index):
     """Notice what happens, decide if it asks for it, and plan when it is time. `before` is the percept a tick older."""
     arm, tick = arms[0], table.tick
     paddle_x, _ = to_table(arm.sensed_x, arm.sensed_y, table)
@@ -247,7 +247,7 @@ def update(person, mind, arms, percept, before, felt, variant, mentors, table, p
     if mind.told == NOTHING:
         if situation != mind.situation or event or struck or mind.dwell_left <= 0.0:
             mind.situation = situation
-            decide(person, mind, arm, percept, situation, mentors, table, path, worth, rng, index)
+            decide(person, mind, arm, percept, situation, advisors, table, path, worth, rng, index)
     elif mind.intention != mind.told and mind.switch_left < 0.0 and event:  # the signal to begin; nothing to choose
         unsteady = exp(person.delay_noise * standard_normal(rng, index))
         mind.next_intention, mind.switch_left = mind.told, person.decision_floor * unsteady
@@ -284,7 +284,7 @@ def play(
     off,
     partner,
     trail,
-    mentors,
+    advisors,
     state,
     force,
     variant,
@@ -301,7 +301,7 @@ def play(
         seen (n, ring, 12), felt (n, ring, 2), off (n, ring, 2, 4), partner (n, ring, 2), trail (n, ring, 4): the last
             ticks of the states, the forces, what the two hands' models do not explain, the goals read from the forces,
             and the two hands; row `age % ring` is the present.
-        mentors: `Mentors`.
+        advisors: `Advisors`.
         state: (n, 12), force: (n, 2) N.
         variant: the `Variant`.
         table: the `Table`.
@@ -336,7 +336,7 @@ def play(
             before = seen[index, max(looked - 1, 0) % ring]
             if looked == 0:
                 mind.plan_left = 0.0
-            update(person, mind, arms[index], percept, before, now, variant, mentors, table, path, worth, rng, index)
+            update(person, mind, arms[index], percept, before, now, variant, advisors, table, path, worth, rng, index)
 
         respond_to_force(person, mind, arm.hand_x, arm.hand_y, now[0], now[1], variant, tick)
         stiffness = stiffness_now(person, mind)
@@ -354,7 +354,7 @@ def play(
         partner[index, row, 0] = arm.hand_x + now[0] / person.believed_stiffness
         partner[index, row, 1] = arm.hand_y + now[1] / person.believed_stiffness
         meant = age - _ticks(person.believed_ahead, tick)
-        if meant >= 0 and variant == Variant.V2:
+        if meant >= 0 and variant == Variant.goal_sharing:
             old = meant % ring
             believed = touched - _ticks(person.believed_ahead, tick)
             if (

@@ -27,8 +27,8 @@ class SimulatedUsers:
         people: (n,) structured array of dtype `USER_PARAMETERS`, see `sample_people`.
         streams: (n,) uint64, one stream of random numbers each, see `personal_streams`; copied.
         table: the `TableSpec` they know by practice.
-        variant: "V0" passive arm, "V1" comply or resist (the primary), "V2" V1 and goal sharing.
-        mentors: the players whose judgment people have learned from; None for nobody's.
+        variant: name of a `Variant` of the response to a force.
+        advisors: the players whose judgment people have learned from; None for nobody's.
 
     Raises:
         ValueError: a shape, dtype or variant is wrong.
@@ -39,8 +39,8 @@ class SimulatedUsers:
         people: np.ndarray,
         streams: np.ndarray,
         table: TableSpec | None = None,
-        variant: str = "V1",
-        mentors: Advisors | None = None,
+        variant: str = "comply_or_resist",
+        advisors: Advisors | None = None,
     ) -> None:
         people = np.asarray(people)
         if people.dtype != USER_PARAMETERS or people.ndim != 1 or len(people) < 1:
@@ -51,7 +51,7 @@ class SimulatedUsers:
         if variant not in Variant.__members__:
             raise ValueError(f"variant = {variant!r} must be one of {', '.join(Variant.__members__)}")
         self.n, self.people, self.table = len(people), people.copy(), check_table(table or TableSpec())
-        self.variant, self.streams, self.mentors = Variant[variant], streams.copy(), mentors or NO_ADVISORS
+        self.variant, self.streams, self.advisors = Variant[variant], streams.copy(), advisors or NO_ADVISORS
         delays = ("sight_delay", "proprioceptive_delay", "hindsight_after")
         longest = max(
             (people["tactile_delay"] + people["believed_ahead"]).max(), *(people[name].max() for name in delays)
@@ -125,7 +125,7 @@ class SimulatedUsers:
             self._off,
             self._partner,
             self._trail,
-            self.mentors,
+            self.advisors,
             np.ascontiguousarray(state, dtype=np.float64),
             np.ascontiguousarray(force, dtype=np.float64),
             int(self.variant),

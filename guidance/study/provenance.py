@@ -64,7 +64,7 @@ def load_opponent(cfg: DictConfig, device: str = "cpu") -> Player:
 
 def file_hashes(cfg: DictConfig, models: Models) -> dict[str, str]:
     """SHA-256 of every file that a study depends on, by its purpose."""
-    files = {"opponents": cfg.models.opponents, "mentors": cfg.users.mentors}
+    files = {"opponents": cfg.models.opponents, "advisors": cfg.users.advisors}
     return models.hashes | {name: sha256(path) for name, path in files.items() if path is not None}
 
 
@@ -72,7 +72,7 @@ def study_hash(cfg: DictConfig, hashes: dict[str, str]) -> str:
     """Hash of all that defines a study except its seed and conditions; runs with equal hashes may be merged."""
     config = OmegaConf.to_container(cfg, resolve=True)
     shared = {key: config[key] for key in STUDY_KEYS}
-    shared["users"] = {key: value for key, value in shared["users"].items() if key != "mentors"}  # hashed as a file
+    shared["users"] = {key: value for key, value in shared["users"].items() if key != "advisors"}  # hashed as a file
     return hashlib.sha256(json.dumps([shared, hashes], sort_keys=True).encode()).hexdigest()
 
 

@@ -167,9 +167,9 @@ def maml_steps(users: int = 9, ticks: int = 1000) -> dict[str, float]:
 
 def people_tick(n: int, ticks: int = 200) -> float:
     """Time in ms of a tick of n simulated users with advisors, in play against others like them."""
-    advisors = load_advisors(config("evaluate").users.mentors)
+    advisors = load_advisors(config("evaluate").users.advisors)
     sides = [
-        SimulatedUsers(sample_people(n, seat), personal_streams(n, seat), TableSpec(), "V1", advisors)
+        SimulatedUsers(sample_people(n, seat), personal_streams(n, seat), TableSpec(), "comply_or_resist", advisors)
         for seat in (0, 1)
     ]
     tables, force, actions, elapsed = World(n), np.zeros((n, 2)), np.zeros((n, 2, 2)), 0.0

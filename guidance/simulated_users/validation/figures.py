@@ -41,11 +41,10 @@ def draw_push(responses: Mapping[str, tuple[np.ndarray, np.ndarray]], path: Path
     """Displacement of a still hand by 2 N for one second, by force-response variant: median and quartiles."""
     figure = new_figure(5, 3.4)
     axes = figure.subplots()
-    labels = {"V0": "V0 passive arm", "V1": "V1 comply or resist", "V2": "V2 and goal sharing"}
     for (name, (seconds, displacement)), color in zip(responses.items(), (GRAY, BLUE, ORANGE), strict=True):
         low, middle, high = 1e3 * np.percentile(displacement, [25, 50, 75], axis=0)
         axes.fill_between(seconds, low, high, color=color, alpha=0.15, lw=0)
-        axes.plot(seconds, middle, color=color, lw=2, label=labels.get(name, name))
+        axes.plot(seconds, middle, color=color, lw=2, label=name.replace("_", " "))
     axes.axvspan(0.0, 1.0, color="#f0f1f4", zorder=0)
     axes.set_xlim(-0.2, 1.4)
     label_axes(axes, "A push of 2 N for one second", "s since the push began", "mm that the hand gives way")

@@ -49,7 +49,7 @@ def observe(
     task: Intention,
     marks: np.ndarray,
     force: np.ndarray | None = None,
-    variant: str = "V1",
+    variant: str = "comply_or_resist",
     seed: int = 0,
 ) -> Record:
     """Let everybody do a task, trial by trial, while a mark moves.
@@ -246,7 +246,7 @@ def timing_errors(people: np.ndarray, trials: int = 30, seed: int = 0) -> np.nda
 
 
 def mechanics(
-    people: np.ndarray, trials: int = 4, seconds: float = 10.0, variant: str = "V1", seed: int = 0
+    people: np.ndarray, trials: int = 4, seconds: float = 10.0, variant: str = "comply_or_resist", seed: int = 0
 ) -> np.ndarray:
     """(people, 3) mass in kg, damping in N s/m and stiffness in N/m of a hand that holds still, from small pushes.
 
@@ -272,7 +272,7 @@ def _fit(force: np.ndarray, hand: np.ndarray, velocity: np.ndarray) -> np.ndarra
 
 
 def push_response(
-    people: np.ndarray, variant: str = "V1", newtons: float = 2.0, seconds: float = 1.0, seed: int = 0
+    people: np.ndarray, variant: str = "comply_or_resist", newtons: float = 2.0, seconds: float = 1.0, seed: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
     """A hand that holds still is pushed sideways: (ticks,) s since the push, (people, ticks) m it gives way."""
     check_numbers(above=0.0, seconds=seconds)

@@ -53,8 +53,8 @@ def play_anchor(
     table: TableSpec | None = None,
     seconds: float = 120.0,
     seed: int = 0,
-    variant: str = "V1",
-    mentors: Advisors | None = None,
+    variant: str = "comply_or_resist",
+    advisors: Advisors | None = None,
 ) -> SimulatedUsers:
     """One game of `seconds` of everyone (left seat) under one anchor force against `opponent` (right seat).
 
@@ -96,7 +96,7 @@ def play_anchor(
         course.append(np.roll(force, 1, axis=0))  # the neighbor's
         return force
 
-    ticks, how = round(seconds / table.tick), (table, variant, mentors or NO_ADVISORS)
+    ticks, how = round(seconds / table.tick), (table, variant, advisors or NO_ADVISORS)
     if anchor == "replayed":
         play_pushed(people, opponent, remember, ticks, seed + 1, *how)
     return play_pushed(people, opponent, push, ticks, seed, *how)
@@ -110,7 +110,7 @@ def play_pushed(
     seed: int,
     table: TableSpec,
     variant: str,
-    mentors: Advisors,
+    advisors: Advisors,
 ) -> SimulatedUsers:
     """Let everyone play while `push`, told who they are and the number of the tick, says the forces (n, 2) in N."""
     check_counts(0, ticks=ticks, seed=seed)
@@ -118,7 +118,7 @@ def play_pushed(
     tables = World(n, table)
     tables.seed(seed)
     tables.new_rounds()
-    users = SimulatedUsers(people, personal_streams(n, seed), table, variant, mentors)
+    users = SimulatedUsers(people, personal_streams(n, seed), table, variant, advisors)
     left, right, actions = np.zeros((n, 12)), np.zeros((n, 12)), np.zeros((n, 2, 2))
     for tick in range(ticks):
         force = push(users, tick)
@@ -149,9 +149,9 @@ def anchor_scales(
     table: TableSpec | None = None,
     seconds: float = 120.0,
     seed: int = 0,
-    mentors: Advisors | None = None,
+    advisors: Advisors | None = None,
 ) -> dict[str, float]:
-    """The unit of each signal: its mean over people (variant V1) under its anchor, as in `SCALED_BY`.
+    """The unit of each signal: its mean over people (variant comply_or_resist) under its anchor, as in `SCALED_BY`.
 
     Returns:
         Per name of `rating.SIGNALS` a plain float, in that signal's unit.
@@ -159,7 +159,7 @@ def anchor_scales(
     Raises:
         ValueError: an anchor gives a signal no positive value, so it cannot be a unit; play longer.
     """
-    played = {name: play_anchor(people, opponent, name, table, seconds, seed, mentors=mentors) for name in ANCHORS}
+    played = {name: play_anchor(people, opponent, name, table, seconds, seed, advisors=advisors) for name in ANCHORS}
     means = {name: users.signals.mean(axis=0) for name, users in played.items()}
     scales = {signal: float(means[SCALED_BY[signal]][column]) for column, signal in enumerate(SIGNALS)}
     for signal, value in scales.items():

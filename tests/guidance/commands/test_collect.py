@@ -26,7 +26,7 @@ from guidance.study import demonstrations, games
 from guidance.user_model import dataset
 
 GAMES, TICKS = 2, 300
-MENTORS = load_advisors(CONF.parent / "guidance/pretrained/mentors.safetensors")
+ADVISORS = load_advisors(CONF.parent / "guidance/pretrained/advisors.safetensors")
 DATA = {"demonstrations/observation.memmap", "demonstrations/action.memmap", "demonstrations/user.memmap"}
 DATA |= {"demonstrations/game.memmap", "demonstrations/meta.json", "demonstrations.parquet", "people.csv"}
 
@@ -47,7 +47,9 @@ def population() -> Population:
 def play(people: np.ndarray, seed: int, ticks: int = TICKS) -> collect.Demonstrations:
     """What the command should have collected."""
     opponent = greedy_player(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(55))
-    return demonstrations.collect_demonstrations(people, opponent, GAMES, ticks, TableSpec(), "V1", MENTORS, seed)
+    return demonstrations.collect_demonstrations(
+        people, opponent, GAMES, ticks, TableSpec(), "comply_or_resist", ADVISORS, seed
+    )
 
 
 @pytest.fixture(scope="module")
@@ -224,7 +226,7 @@ def test_loaded_demonstrations_are_a_copy(folder, wanted):
         ("opponent=1000", "opponent = 1000 must be a generation of the league, 0 to 100"),
         ("opponent=-1", "opponent = -1 must be a whole number of at least 0"),
         ("models.opponents=nowhere", "no such file: nowhere"),
-        ("users.variant=V9", "users.variant = V9 must be one of V0, V1, V2"),
+        ("users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist, goal_sharing"),
         ("users=nobody", "users = nobody must be one of default"),
         ("seed=-1", "seed = -1 must be a whole number of at least 0"),
         ("+guests=3", "guests is not a key of conf/collect.yaml"),

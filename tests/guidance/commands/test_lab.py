@@ -286,7 +286,7 @@ def test_without_its_device_nobody_is_enrolled(tmp_path):
         (["breath=-1"], "breath = -1 must be a number of at least 0.0 and at most 10.0"),
         (["safety.speed=0"], "safety.speed = 0 must be a finite number above 0"),
         (["opponent=1000"], "generation = 1000"),
-        (["users.variant=V9"], "users.variant = 'V9' must be one of V0, V1, V2"),
+        (["users.variant=V9"], "users.variant = 'V9' must be one of passive, comply_or_resist, goal_sharing"),
         (["participants=0"], "participants = 0 must be a whole number of at least 1"),
     ],
 )

@@ -264,7 +264,7 @@ def test_a_goal_stays(tmp_path):
         ("condition=oahgg", "condition = oahgg must be one of combhg_ua, "),
         ("~condition", "condition = null must be one of combhg_ua, "),
         ("condition.letter=7", "condition.letter = 7 must be one of a to z"),
-        ("users.variant=V9", "users.variant = 'V9' must be one of V0, V1, V2"),
+        ("users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist, goal_sharing"),
         ("opponent=1000", "generation = 1000"),
         ("models.meta=nowhere", "no such file: nowhere"),
     ],

@@ -1,4 +1,4 @@
-"""Mentors: inside the compiled tick they say what the league's generation says, and skill picks the generation."""
+"""Advisors: inside the compiled tick they say what the league's generation says, and skill picks the generation."""
 
 import numpy as np
 import pytest
@@ -23,20 +23,20 @@ def league(hidden: tuple[int, ...], inputs: str, generations: int = 5) -> League
 
 
 @pytest.mark.parametrize(("hidden", "inputs"), [((64, 64), "paddle"), ((7,), "table"), ((5, 6, 4), "paddle")])
-def test_a_mentor_says_what_its_generation_says(hidden, inputs):
+def test_an_advisor_says_what_its_generation_says(hidden, inputs):
     pool = league(hidden, inputs)
-    mentors, rng = stack_advisors(pool), np.random.default_rng(0)
+    advisors, rng = stack_advisors(pool), np.random.default_rng(0)
     for skill, generation in ((-9.0, 0), (-0.6, 1), (0.0, 2), (0.7, 3), (9.0, 4)):
         state = rng.normal(size=12) * 0.4
         mean, _ = pool.player(generation)(torch.tensor(state, dtype=torch.float32))
-        assert advised_action(mentors, skill, state) == pytest.approx(mean.clamp(-1, 1).tolist(), abs=1e-5)
+        assert advised_action(advisors, skill, state) == pytest.approx(mean.clamp(-1, 1).tolist(), abs=1e-5)
 
 
-def play(mentors, ticks: int = 600, **changes) -> np.ndarray:
+def play(advisors, ticks: int = 600, **changes) -> np.ndarray:
     people = sample_people(12, 4)
     for name, value in changes.items():
         people[name] = value
-    users = SimulatedUsers(people, personal_streams(12, 4), TABLE, "V1", mentors)
+    users = SimulatedUsers(people, personal_streams(12, 4), TABLE, "comply_or_resist", advisors)
     zero, actions = np.zeros((12, 2)), []
     for tick in range(ticks):
         puck = (0.4 - 0.012 * (tick % 100), 0.2 * np.sin(tick / 30), -0.6, 0.1)
@@ -45,15 +45,15 @@ def play(mentors, ticks: int = 600, **changes) -> np.ndarray:
 
 
 def test_advice_changes_what_people_choose_and_no_advice_does_not():
-    mentors = stack_advisors(league((16,), "paddle"))
+    advisors = stack_advisors(league((16,), "paddle"))
     alone = play(NO_ADVISORS)
-    assert np.array_equal(alone, play(mentors, advice=0.0))
-    assert not np.array_equal(alone, play(mentors, advice=0.5))
-    assert np.array_equal(play(mentors), play(mentors))
+    assert np.array_equal(alone, play(advisors, advice=0.0))
+    assert not np.array_equal(alone, play(advisors, advice=0.5))
+    assert np.array_equal(play(advisors), play(advisors))
 
 
 def test_advice_pulls_choices_its_way():
-    """A mentor who is always at the front, in the middle, has people press rather than wait."""
+    """An advisor who is always at the front, in the middle, has people press rather than wait."""
     pool = League(GaussianPolicy((4,)))
     policy = GaussianPolicy((4,))
     with torch.no_grad():
@@ -64,7 +64,7 @@ def test_advice_pulls_choices_its_way():
     for advice in (0.0, 1.5):
         people = sample_people(20, 4)
         people["advice"] = advice
-        users = SimulatedUsers(people, personal_streams(20, 4), TABLE, "V1", stack_advisors(pool))
+        users = SimulatedUsers(people, personal_streams(20, 4), TABLE, "comply_or_resist", stack_advisors(pool))
         ahead.append(np.mean([users.step(still(20), np.zeros((20, 2)))[:, 0].mean() for _ in range(500)]))
     assert ahead[1] > ahead[0] + 0.2
 

@@ -27,7 +27,7 @@ def people() -> np.ndarray:
 
 
 def test_the_default_population_is_within_the_human_ranges(people):
-    table = as_table(in_the_laboratory(people, "V1", 0)[0]).set_index("measure")
+    table = as_table(in_the_laboratory(people, "comply_or_resist", 0)[0]).set_index("measure")
     assert len(table) == 6
     for name, row in table.iterrows():
         low, high = MEASURES[name][1]
@@ -47,7 +47,7 @@ def test_stiffness_is_found_where_it_was_put(people):
     """A third of the stiffness shows as less of it; what replanning adds is there in both."""
     soft = people.copy()
     soft["stiffness"] /= 3
-    hard, yielding = (mechanics(group, trials=2, variant="V0")[:, 2] for group in (people, soft))
+    hard, yielding = (mechanics(group, trials=2, variant="passive")[:, 2] for group in (people, soft))
     assert np.all(yielding < hard)
     assert hard.mean() - yielding.mean() > 40
 
@@ -70,8 +70,8 @@ def test_a_hand_that_is_not_pushed_holds_still(people):
 
 
 def test_resisting_gives_way_less_than_a_passive_arm(people):
-    seconds, passive = push_response(people, "V0")
-    _, resisting = push_response(people, "V1")
+    seconds, passive = push_response(people, "passive")
+    _, resisting = push_response(people, "comply_or_resist")
     early, late = (seconds > 0) & (seconds <= 0.1), (seconds > 0.6) & (seconds <= 1.0)
     assert np.array_equal(passive[:, early], resisting[:, early])  # before touch is felt nobody answers
     assert resisting[:, late].mean() < 0.8 * passive[:, late].mean()
@@ -84,8 +84,8 @@ def test_the_hand_is_felt_late(people):
     people["tremor"] = 0.0
     quick = people.copy()
     quick["proprioceptive_delay"] = 0.0
-    seconds, usual = push_response(people, "V0")
-    _, off = push_response(quick, "V0")
+    seconds, usual = push_response(people, "passive")
+    _, off = push_response(quick, "passive")
     later = usual - off
     assert np.abs(later[:, (seconds > -0.1) & (seconds <= 0.02)]).mean() < 1e-4
     assert later[:, (seconds > 0.1) & (seconds < 0.2)].mean() > 5e-4  # corrected later

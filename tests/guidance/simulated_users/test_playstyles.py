@@ -25,39 +25,39 @@ def opponent():
 
 
 @pytest.fixture(scope="module")
-def mentors():
-    return load_advisors(CONF.parent / "guidance/pretrained/mentors.safetensors")
+def advisors():
+    return load_advisors(CONF.parent / "guidance/pretrained/advisors.safetensors")
 
 
-def games(population: Population, seed: int, opponent, mentors) -> tuple[np.ndarray, list[np.ndarray]]:
+def games(population: Population, seed: int, opponent, advisors) -> tuple[np.ndarray, list[np.ndarray]]:
     """Archetypes (n,), and the features (n, 10) of each of two games."""
     people = np.concatenate([sample_people(EACH, seed + i, population, a) for i, a in enumerate(population.archetypes)])
-    data = collect_demonstrations(people, opponent, 2, TICKS, TABLE, "V1", mentors, seed)
+    data = collect_demonstrations(people, opponent, 2, TICKS, TABLE, "comply_or_resist", advisors, seed)
     return people["archetype"], [features(data.observation[:, game], TABLE) for game in (0, 1)]
 
 
-def test_people_are_told_apart_and_recognized(opponent, mentors):
+def test_people_are_told_apart_and_recognized(opponent, advisors):
     population = Population.usual()
-    style, (known, _) = games(population, 4000, opponent, mentors)
-    others, (one, another) = games(population, 4500, opponent, mentors)
+    style, (known, _) = games(population, 4000, opponent, advisors)
+    others, (one, another) = games(population, 4500, opponent, advisors)
     assert np.mean(told_apart(known, style, one) == others) > 0.4  # chance is 1 of 6
     assert recognized(one, another) > 0.15  # chance is 1 of 60
 
 
-def test_people_without_any_spread_are_not(opponent, mentors):
+def test_people_without_any_spread_are_not(opponent, advisors):
     usual = Population.usual()
     same = {item.name: getattr(usual, item.name) for item in fields(Population)}
     same = {name: law._replace(log_sd=0.0) for name, law in same.items() if hasattr(law, "log_sd")}
     alike = {name: [0.5] * 6 for name in usual.archetypes}
     population = Population.usual(**same, archetypes=alike, trait_concentration=np.inf, skill_sd=0.0)
-    style, (known, _) = games(population, 4000, opponent, mentors)
-    others, (one, another) = games(population, 4500, opponent, mentors)
+    style, (known, _) = games(population, 4000, opponent, advisors)
+    others, (one, another) = games(population, 4500, opponent, advisors)
     assert np.mean(told_apart(known, style, one) == others) < 0.4
     assert recognized(one, another) < 0.1
 
 
-def test_more_skill_wins_more_and_stops_more(opponent, mentors):
-    found = by_skill(Population.usual(), 90, opponent, "V1", mentors, 0)
+def test_more_skill_wins_more_and_stops_more(opponent, advisors):
+    found = by_skill(Population.usual(), 90, opponent, "comply_or_resist", advisors, 0)
     won, stopped = ([np.nanmean(v) for name, v in found.items() if name.startswith(w)] for w in ("rounds", "shots"))
     assert won[0] < won[2] and stopped[0] < stopped[1] < stopped[2]
     assert won[0] - 0.02 < won[1] < won[2] + 0.02

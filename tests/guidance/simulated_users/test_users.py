@@ -42,7 +42,7 @@ def still(n: int, puck: tuple[float, ...] = (0.5, 0.1, 0.0, 0.0)) -> np.ndarray:
     return state
 
 
-def mirror_match(n: int, ticks: int, variant: str = "V1", force: float = 0.0, seed: int = 3):
+def mirror_match(n: int, ticks: int, variant: str = "comply_or_resist", force: float = 0.0, seed: int = 3):
     """Two batches play each other; a constant force in newtons along y acts on the left one."""
     tables = World(n)
     tables.seed(seed)
@@ -71,13 +71,13 @@ def mirror_match(n: int, ticks: int, variant: str = "V1", force: float = 0.0, se
 
 
 def test_without_a_force_every_variant_is_no_guidance_bit_for_bit():
-    users, passive = mirror_match(6, 1500, "V0")
-    for variant in ("V1", "V2"):
+    users, passive = mirror_match(6, 1500, "passive")
+    for variant in ("comply_or_resist", "goal_sharing"):
         again, record = mirror_match(6, 1500, variant)
         assert np.array_equal(record["action"], passive["action"])
         assert np.all(again.signals == 0)
     assert np.all(users.signals == 0)
-    _, pushed = mirror_match(6, 1500, "V1", force=1.0)
+    _, pushed = mirror_match(6, 1500, "comply_or_resist", force=1.0)
     assert not np.array_equal(pushed["action"], passive["action"])
 
 
@@ -91,8 +91,8 @@ def test_a_person_does_not_depend_on_who_else_is_there():
     people, streams = sample_people(5, 8), personal_streams(5, 8)
     rng = np.random.default_rng(0)
     everyone, alone = (
-        SimulatedUsers(people, streams, TABLE, "V2"),
-        SimulatedUsers(people[3:4], streams[3:4], TABLE, "V2"),
+        SimulatedUsers(people, streams, TABLE, "goal_sharing"),
+        SimulatedUsers(people[3:4], streams[3:4], TABLE, "goal_sharing"),
     )
     for _ in range(300):
         state, force = still(5) + 0.02 * rng.standard_normal((5, 12)), rng.standard_normal((5, 2))
@@ -152,7 +152,7 @@ def test_the_arm_follows_a_reach_with_one_peak_of_speed():
 def test_a_force_pushes_the_hand_its_way_and_about_as_far_as_stiffness_says():
     n = 30
     people, streams = sample_people(n, 4), personal_streams(n, 4)
-    passive, free = SimulatedUsers(people, streams, TABLE, "V0"), SimulatedUsers(people, streams, TABLE, "V0")
+    passive, free = SimulatedUsers(people, streams, TABLE, "passive"), SimulatedUsers(people, streams, TABLE, "passive")
     force = np.tile([0.0, 1.5], (n, 1))
     off = []
     for tick in range(500):
@@ -166,7 +166,7 @@ def test_a_force_pushes_the_hand_its_way_and_about_as_far_as_stiffness_says():
     assert 0.6 < np.median(yielding) < 1.6
 
 
-@pytest.mark.parametrize("variant", ["V0", "V1", "V2"])
+@pytest.mark.parametrize("variant", ["passive", "comply_or_resist", "goal_sharing"])
 def test_a_spring_to_a_place_does_not_shake_the_hand(variant):
     n = 60
     people, streams = sample_people(n, 5), personal_streams(n, 5)
@@ -187,13 +187,13 @@ def test_conflict_stiffens_and_is_resisted_only_in_v1():
     n = 20
     people, streams = sample_people(n, 6), personal_streams(n, 6)
     off = {}
-    for variant in ("V0", "V1"):
+    for variant in ("passive", "comply_or_resist"):
         users, free = SimulatedUsers(people, streams, TABLE, variant), SimulatedUsers(people, streams, TABLE, variant)
         for _ in range(400):
             users.step(still(n), np.tile([0.0, 2.0], (n, 1)))
             free.step(still(n), np.zeros((n, 2)))
         off[variant] = (users.hand - free.hand)[:, 1]
-    assert np.mean(off["V1"]) < 0.9 * np.mean(off["V0"])
+    assert np.mean(off["comply_or_resist"]) < 0.9 * np.mean(off["passive"])
 
 
 def test_two_people_play_air_hockey():
@@ -230,7 +230,7 @@ def test_skill_wins():
 
 def test_a_new_round_puts_the_hand_back_and_keeps_the_ratings():
     n = 4
-    users = SimulatedUsers(sample_people(n, 7), personal_streams(n, 7), TABLE, "V2")
+    users = SimulatedUsers(sample_people(n, 7), personal_streams(n, 7), TABLE, "goal_sharing")
     for _ in range(150):
         users.step(still(n), np.ones((n, 2)))
     which = np.array([True, False, True, False])
@@ -424,7 +424,7 @@ def test_intentions_are_named_and_used():
         (lambda: SimulatedUsers(sample_people(3, 0), personal_streams(2, 0)), "streams uint64"),
         (
             lambda: SimulatedUsers(sample_people(1, 0), personal_streams(1, 0), variant="V9"),
-            "variant = 'V9' must be one of V0",
+            "variant = 'V9' must be one of passive",
         ),
         (lambda: _one().step(np.zeros((1, 11)), np.zeros((1, 2))), "state of shape"),
         (lambda: _one().step(np.zeros((1, 12)), np.full((1, 2), np.nan)), "force = nan must be finite"),

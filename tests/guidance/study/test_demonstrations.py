@@ -14,11 +14,11 @@ def opponent(observation: torch.Tensor) -> torch.Tensor:
 
 def test_every_user_plays_every_game_and_the_action_is_where_the_hand_went():
     people = training_people(0)[:3]
-    data = collect_demonstrations(people, opponent, 2, 300, TableSpec(), "V1", NO_ADVISORS, 0)
+    data = collect_demonstrations(people, opponent, 2, 300, TableSpec(), "comply_or_resist", NO_ADVISORS, 0)
     assert data.observation.shape == (3, 2, 300, 12) and data.action.shape == (3, 2, 300, 2)
     games = data.action.flatten(0, 1)
     assert all(not torch.equal(games[a], games[b]) for a in range(6) for b in range(a))
-    again = collect_demonstrations(people, opponent, 2, 300, TableSpec(), "V1", NO_ADVISORS, 0)
+    again = collect_demonstrations(people, opponent, 2, 300, TableSpec(), "comply_or_resist", NO_ADVISORS, 0)
     assert torch.equal(again.action, data.action) and torch.equal(again.observation, data.observation)
     moved = data.action.diff(dim=2).abs().flatten()
     assert moved.quantile(0.999) < 0.4  # 20 ms at 1.5 m/s; only a new round puts the hand back at the center
@@ -26,4 +26,4 @@ def test_every_user_plays_every_game_and_the_action_is_where_the_hand_went():
 
 def test_wrong_sizes_are_named():
     with pytest.raises(ValueError, match="games = 0"):
-        collect_demonstrations(training_people(0), opponent, 0, 10, TableSpec(), "V1", NO_ADVISORS, 0)
+        collect_demonstrations(training_people(0), opponent, 0, 10, TableSpec(), "comply_or_resist", NO_ADVISORS, 0)

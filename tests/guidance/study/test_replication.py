@@ -79,24 +79,24 @@ def test_the_map_has_a_cell_per_finding_and_group(outcomes):
     assert len(effects.lines[1].get_xdata()) == 38
 
 
-FEW = ["guidance.commands.replicate", "study.rounds=1", "sensitivity.variants=[V0,V2]"]
+FEW = ["guidance.commands.replicate", "study.rounds=1", "sensitivity.variants=[passive,goal_sharing]"]
 
 
 def test_a_killed_run_ends_like_one_never_killed(tmp_path):
     """Batches that are there are kept, missing ones are played again."""
     smoke(*FEW, f"hydra.run.dir={tmp_path}/whole")
     batches = sorted(path.name for path in (tmp_path / "whole" / "batches").iterdir())
-    assert batches == [f"{g}-{k:04d}.csv" for g in ("V0", "V2") for k in (3, 5)] + [
+    assert batches == [f"{g}-{k:04d}.csv" for g in ("passive", "goal_sharing") for k in (3, 5)] + [
         *("alike-0000.csv", "replicates-0000.csv", "replicates-0002.csv", "swapped-0000.csv")
     ]
     expected = {name: (tmp_path / "whole" / name).read_bytes() for name in (*RESULTS, "robustness.svg")}
-    for name in (*RESULTS, "batches/V2-0003.csv", "batches/replicates-0002.csv", "replicate.html"):
+    for name in (*RESULTS, "batches/goal_sharing-0003.csv", "batches/replicates-0002.csv", "replicate.html"):
         (tmp_path / "whole" / name).unlink()
     done = start("guidance.commands.replicate", f"resume={tmp_path}/whole", f"hydra.run.dir={tmp_path}/again")
     assert done.returncode == 0, done.stderr
     assert expected == {name: (tmp_path / "whole" / name).read_bytes() for name in expected}
     page = (tmp_path / "whole" / "replicate.html").read_text(encoding="utf-8")
-    assert "not replicates of the frozen study" in page and "other assumptions, V2" in page
+    assert "not replicates of the frozen study" in page and "other assumptions, goal_sharing" in page
 
 
 @pytest.mark.slow
@@ -124,7 +124,7 @@ def test_a_ray_cluster_gives_the_same_bits(tmp_path, monkeypatch):
     [
         ("participants=2", "participants = 2 must be a whole number of at least 3"),
         ("sensitivity.largest=1", "sensitivity.largest = 1 must be a number above 1.0"),
-        ("sensitivity.variants=[V7]", "users.variant = 'V7' must be one of V0, V1, V2"),
+        ("sensitivity.variants=[V7]", "users.variant = 'V7' must be one of passive, comply_or_resist, goal_sharing"),
         ("sensitivity.parameters=[courage]", "courage is not a parameter of people"),
         ("n=0 sensitivity.points=0", "n = 0 must be at least 1 where sensitivity.points is 0"),
         ("compute=tpu", "compute = tpu must be one of cpu, cuda"),

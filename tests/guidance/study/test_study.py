@@ -47,7 +47,7 @@ def opponent(observation: torch.Tensor) -> torch.Tensor:
 
 
 def setup_of(models, conditions, protocol=SHORT) -> StudySetup:
-    return StudySetup(conditions, models, opponent, 0.1, protocol, "V1", NO_ADVISORS, SCALES)
+    return StudySetup(conditions, models, opponent, 0.1, protocol, "comply_or_resist", NO_ADVISORS, SCALES)
 
 
 def study(models, conditions, protocol=SHORT, people=3, seed=0):
