@@ -80,7 +80,7 @@ def main(cfg: DictConfig) -> None:
         people, opponent, *sizes, table, cfg.users.variant, advisors, cfg.seed, told
     )
     progress.close()
-    who = people_table(people, list(population.archetypes))
+    who = people_table(people, list(population.style.archetypes))
     write_tensors(folder / TENSORS, data)
     write_rows(folder / ROWS, data, who["archetype"], table)
     with atomic_write(folder / PEOPLE) as temporary:

@@ -10,7 +10,6 @@ playstyle keeps its paddle) and shots.png (how the puck leaves it).
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -85,7 +84,7 @@ def main(cfg: DictConfig) -> None:
     with atomic_write(folder / "battery.csv") as temporary:
         table.to_csv(temporary, index=False)
     pushed = {name: push_response(people, name, seed=cfg.seed) for name in Variant.__members__}
-    names = list(population.archetypes)
+    names = list(population.style.archetypes)
     draw_speeds(data, folder / "speeds.png")
     draw_push(pushed, folder / "push.png")
     draw_places(dict(zip(names, play, strict=True)), TableSpec(), folder / "places.png")
@@ -137,7 +136,7 @@ def at_the_table(
         people = sample_people(number, seed, population, archetype)
         return collect_demonstrations(people, opponent, 2, ticks, *how, seed)
 
-    archetypes = list(population.archetypes)
+    archetypes = list(population.style.archetypes)
     known, unseen = ([games(per_style, seed + 100 * (k + 1), population, name) for name in archetypes] for k in (0, 1))
     style = np.repeat(np.arange(len(archetypes)), per_style)
     first, one, another = (
@@ -160,7 +159,7 @@ def by_skill(
     """Rounds won and shots stopped by `number` people of each of `SKILLS`, a value per person each."""
     table, won, stopped = TableSpec(), {}, {}
     for trial, skill in enumerate(SKILLS):
-        people = sample_people(number, seed + 300, replace(population, skill_mean=skill, skill_sd=0.0))
+        people = sample_people(number, seed + 300, population.with_parameters(skill_mean=skill, skill_sd=0.0))
         minds, serves = (
             spawn_rng_states(seed, range(number), SKILL_TRIAL + trial, stream)
             for stream in (RandomStream.USER, RandomStream.TABLE)

@@ -9,7 +9,6 @@
 Writes into its run folder: watch.gif, watch.png (six of its moments) and watch.csv (a row per tick).
 """
 
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from string import ascii_lowercase
@@ -100,7 +99,7 @@ def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dic
         adapted = setup.models.adapted_to(game.demonstrations)
     users, serves = begin(ascii_lowercase.index(condition.letter))
     ticks = play(users, setup, adapted, serves, cfg.seconds)
-    archetypes = list(cfg.users.population.archetypes)
+    archetypes = list(cfg.users.population.style.archetypes)
     player = f"simulated {archetypes[person['archetype'][0]].replace('_', '-')}"
     return ticks, scene_facts(condition, player, f"generation {cfg.opponent}", adapted is not None)
 
@@ -132,11 +131,11 @@ def selected_person(cfg: DictConfig) -> np.ndarray:
         InputError: there is no such archetype or skill.
     """
     population: Population = construct(Population, cfg.users.population, "users.population")
-    if cfg.user is not None and cfg.user not in population.archetypes:
-        raise InputError(f"user = {cfg.user} must be one of {', '.join(population.archetypes)}, null")
+    if cfg.user is not None and cfg.user not in population.style.archetypes:
+        raise InputError(f"user = {cfg.user} must be one of {', '.join(population.style.archetypes)}, null")
     if cfg.skill is not None:
         require_numbers(cfg, "skill", least=-MOST_SKILL, at_most=MOST_SKILL)
-        population = replace(population, skill_mean=float(cfg.skill), skill_sd=0.0)
+        population = population.with_parameters(skill_mean=float(cfg.skill), skill_sd=0.0)
     return sample_people(1, cfg.seed, population, cfg.user)
 
 

@@ -1,4 +1,4 @@
-"""Good players whose judgment people have learned from: generations of a league, asked inside the compiled tick."""
+"""Advisors: generations of a league whose actions raise the utility of the intentions that agree with them."""
 
 from math import erf, sqrt
 from pathlib import Path
@@ -13,11 +13,11 @@ from airhockey_marl.players.inference import mlp_forward_blas
 
 
 class Advisors(NamedTuple):
-    """The models of k generations, from the weakest to the strongest.
+    """The networks of k generations, from the weakest to the strongest, for compiled code.
 
     Attributes:
-        sizes: (layers + 1,) int64, numbers in each layer, from the 12 of a state to mean and spread of the action.
-        weights: (k, numbers) float64, layer by layer the matrix, row by row, and the biases.
+        sizes: (layers + 1,) int64 widths, from the 12 numbers of a state to mean and STD of the action.
+        weights: (k, weights of a network) float64: of each layer the matrix, row by row, then the biases.
     """
 
     sizes: np.ndarray
@@ -29,7 +29,7 @@ NO_ADVISORS = Advisors(np.zeros(0, dtype=np.int64), np.zeros((0, 0)))
 
 @torch.no_grad()
 def stack_advisors(league: League) -> Advisors:
-    """All generations of a league as advisors; the scaling of the inputs becomes part of the first layer."""
+    """All generations of a league as advisors; the scaling of observations is folded into the first layer."""
     inputs = league.policy.inputs(torch.eye(12)).T.double()
     layers = [f"layers.{2 * index}" for index in range(len(league.policy.hidden))] + ["head"]
     rows = []
@@ -42,7 +42,7 @@ def stack_advisors(league: League) -> Advisors:
 
 
 def load_advisors(path: Path | str | None) -> Advisors:
-    """The advisors in a league's file; nobody for None.
+    """The advisors in a league's file; `NO_ADVISORS` for None.
 
     Raises:
         ValueError: the file is missing or broken.
@@ -51,12 +51,12 @@ def load_advisors(path: Path | str | None) -> Advisors:
 
 
 @njit(cache=True)
-def advised_action(advisors, skill, state):
-    """The mean action (x, y) that someone of this skill has learned to think of at this state (12,).
+def advised_action(advisors, skill, observation):
+    """The mean action (x, y) of the generation that advises this skill, at an observation (12,).
 
-    The share of people who are less skilled picks the generation: half of them for the median person.
+    The generation is chosen by the share of people who are less skilled: the middle one for the median person.
     """
     share = 0.5 * (1.0 + erf(skill / sqrt(2.0)))
     model = advisors.weights[int(share * (len(advisors.weights) - 1) + 0.5)]
-    mean = mlp_forward_blas(state, advisors.sizes, model)
+    mean = mlp_forward_blas(observation, advisors.sizes, model)
     return min(max(mean[0], -1.0), 1.0), min(max(mean[1], -1.0), 1.0)

@@ -1,7 +1,8 @@
-"""What a person means to do: one of nine intentions, drawn from a softmax over what each is worth to them.
+"""Intentions: recognized situation, utility of each intention, softmax choice, and the move that each asks for.
 
-Worth is in 0..1 or so and comes from the playstyle traits; the numbers in it are assumptions [A]. An intention is
-private: it is not part of the state that anyone else sees.
+Utilities come from the playstyle traits and lie in 0..1 or so. The present intention is private: it is not part of the
+game state. `person` is a record of `USER_PARAMETERS`, `state` one of `USER_STATE`, `arm` one of `ARM_STATE`; `percept`
+is an observation (12,), `path` the expected path of the puck.
 """
 
 from enum import IntEnum
@@ -11,15 +12,28 @@ import numpy as np
 from numba import njit
 
 from airhockey_marl.envs.world import random_unit
-from guidance.simulated_users.perception import PUCK
-from guidance.simulated_users.population import WORTHS
-from guidance.simulated_users.strokes import BANK_LEFT, BANK_RIGHT, DIRECT, clamp, strike
+from guidance.simulated_users.perception import OTHER, PUCK
+from guidance.simulated_users.population import UTILITY_ROWS
+from guidance.simulated_users.strokes import (
+    BANK_LEFT,
+    BANK_RIGHT,
+    DIRECT,
+    Shot,
+    blocking_position,
+    clamp,
+    detour,
+    find_strike,
+    free_move,
+    guard_x,
+    move_time,
+    to_table,
+)
 
-INTENTIONS = 9  # that one can have of one's own accord
-NOTHING = -1  # told by nobody
-IMPOSSIBLE = -1e9
+INTENTIONS = 9  # that people choose from
+NO_INSTRUCTION = -1
+IMPOSSIBLE = -1e9  # utility
 
-# Rows of `PERSON.worth`: the intention, and what is going on.
+# Rows of `utility_weights` in `USER_PARAMETERS`.
 (
     AWAY_WAIT,
     AWAY_SHADOW,
@@ -32,11 +46,11 @@ IMPOSSIBLE = -1e9
     NEAR_BANK,
     NEAR_BLOCK,
     NEAR_SHADOW,
-) = range(len(WORTHS))
+) = range(len(UTILITY_ROWS))
 
 
 class Intention(IntEnum):
-    """What the hand is for."""
+    """What the hand is to do."""
 
     WAIT = 0  # at home before the goal
     SHADOW = 1  # before the goal, following the puck sideways
@@ -47,119 +61,155 @@ class Intention(IntEnum):
     SMASH_BANK_LEFT = 6
     SMASH_BANK_RIGHT = 7
     RECOVER = 8  # back behind a puck that has passed
-    REACH = 9  # put the paddle where the puck is; only ever because an experimenter says so
+    REACH = 9  # put the paddle where the puck is; only on an experimenter's instruction
 
 
 class Situation(IntEnum):
-    """What a person sees is going on."""
+    """The situation as a person sees it."""
 
     AWAY = 0  # the puck is the opponent's
-    COMING = 1  # on its way here
+    COMING = 1  # approaching
     OURS = 2  # in the own half and before the paddle
     BEHIND = 3  # in the own half and nearer to the own goal than the paddle
 
 
 @njit(cache=True)
-def situation_of(person, percept, paddle_x, table):
-    """The `Situation` at a glance: the percept, as old as sight is late, moved on straight.
-
-    `paddle_x` is where the own paddle is now, in m; its owner feels that.
-    """
+def classify_situation(person, percept, paddle_x, table):
+    """The `Situation`, from the percept extrapolated over the visual delay and the own paddle's present x in m."""
     vx = percept[PUCK + 2]
-    x = percept[PUCK] + vx * person.sight_delay
+    x = percept[PUCK] + vx * person.visual_delay
     if x > 0.0:
-        return Situation.COMING if vx < -person.still and x + vx * person.soon < 0.0 else Situation.AWAY
+        approaches = vx < -person.min_approach_speed and x + vx * person.arrival_horizon < 0.0
+        return Situation.COMING if approaches else Situation.AWAY
     if x < paddle_x and x > -table.length / 2:
         return Situation.BEHIND
-    return Situation.AWAY if vx > person.leaving and x - paddle_x > person.out_of_reach else Situation.OURS
+    departs = vx > person.departure_speed and x - paddle_x > person.reach_margin
+    return Situation.AWAY if departs else Situation.OURS
 
 
 @njit(cache=True)
-def wall_of(intention):
-    """The side wall a smash takes."""
+def intended_shot(person, state, percept, intention, table):
+    """The `Shot` of a striking intention: anywhere in the opponent's goal, but rather past the opponent's paddle."""
+    wall = DIRECT
     if intention == Intention.SMASH_BANK_LEFT:
-        return BANK_LEFT
-    return BANK_RIGHT if intention == Intention.SMASH_BANK_RIGHT else DIRECT
+        wall = BANK_LEFT
+    elif intention == Intention.SMASH_BANK_RIGHT:
+        wall = BANK_RIGHT
+    if intention == Intention.CONTROL:
+        speed = person.control_speed
+    else:
+        speed = person.min_smash_speed + person.smash_speed_range * person.power
+    return Shot(speed, wall, target_y(person, state, percept, table))
 
 
 @njit(cache=True)
-def aim_y(person, mind, other_y, table):
-    """Where in the opponent's goal a shot is meant to go, m: anywhere, but rather past the opponent's paddle."""
+def target_y(person, state, percept, table):
+    """y in the opponent's goal that a shot is aimed at, m."""
     mouth = table.goal / 2 - table.puck_radius
-    past = clamp(-other_y / table.goal, -person.aim_past, person.aim_past)
-    return mouth * clamp(person.aim_spread * mind.aim + past, -person.aim_widest, person.aim_widest)
+    avoidance = clamp(-percept[OTHER + 1] / table.goal, -person.opponent_avoidance, person.opponent_avoidance)
+    return mouth * clamp(person.aim_spread * state.aim_offset + avoidance, -person.max_aim, person.max_aim)
 
 
 @njit(cache=True)
-def strike_speed(person, intention):
-    """How fast the puck is meant to leave, m/s."""
-    return (
-        person.control_speed
-        if intention == Intention.CONTROL
-        else person.smash_slowest + person.smash_range * person.power
-    )
-
-
-@njit(cache=True)
-def worth_of(person, row, open_straight):
-    """What one row of the table `WORTHS` comes to for this person."""
-    weight = person.worth[row]
+def utility(person, row, openness):
+    """Utility of a row of `utility_weights`; `openness` in 0..1 is that of the direct way to the opponent's goal."""
+    weight = person.utility_weights[row]
     return (
         weight[0]
         + weight[1] * person.aggression
         + weight[2] * person.press
         + weight[3] * person.bank
         + weight[4] * person.shadow
-        + weight[5] * open_straight
+        + weight[5] * openness
     )
 
 
 @njit(cache=True)
-def compute_utilities(person, mind, arm, percept, path, situation, threatened, table, worth):
-    """Write what each intention is worth now into `worth` (INTENTIONS,); the impossible ones are worth nothing."""
-    worth[:] = IMPOSSIBLE
+def compute_utilities(person, state, arm, percept, path, situation, table, utilities):
+    """Write the utility of each intention in this situation into `utilities` (INTENTIONS,)."""
+    utilities[:] = IMPOSSIBLE
     if situation == Situation.AWAY:
-        worth[Intention.WAIT] = worth_of(person, AWAY_WAIT, 0.0)
-        worth[Intention.SHADOW] = worth_of(person, AWAY_SHADOW, 0.0)
-        worth[Intention.PRESS] = worth_of(person, AWAY_PRESS, 0.0)
+        utilities[Intention.WAIT] = utility(person, AWAY_WAIT, 0.0)
+        utilities[Intention.SHADOW] = utility(person, AWAY_SHADOW, 0.0)
+        utilities[Intention.PRESS] = utility(person, AWAY_PRESS, 0.0)
     elif situation == Situation.BEHIND:
-        worth[Intention.RECOVER] = worth_of(person, BEHIND_RECOVER, 0.0)
-        if threatened:
-            worth[Intention.BLOCK] = worth_of(person, BEHIND_BLOCK, 0.0)
+        utilities[Intention.RECOVER] = utility(person, BEHIND_RECOVER, 0.0)
+        if state.goal_threatened:
+            utilities[Intention.BLOCK] = utility(person, BEHIND_BLOCK, 0.0)
     else:
-        aim = aim_y(person, mind, percept[5], table)
-        open_straight = min(abs(aim - percept[5]) / table.goal, 1.0)  # the opponent's paddle is not in the way
+        opponent_y = percept[OTHER + 1]
+        openness = min(abs(target_y(person, state, percept, table) - opponent_y) / table.goal, 1.0)
         moving = hypot(path[0, 2], path[0, 3]) > person.control_speed
         for intention in range(Intention.CONTROL, Intention.RECOVER):
-            speed, wall = strike_speed(person, intention), wall_of(intention)
-            _, contact = strike(
-                person, arm, path, speed, wall, aim, person.soonest_strike, person.effort_to_begin, table
-            )
+            shot = intended_shot(person, state, percept, intention, table)
+            _, contact = find_strike(person, arm, path, shot, person.min_strike_time, person.start_effort_limit, table)
             if np.isinf(contact):
                 continue
             if intention == Intention.CONTROL:
                 row = NEAR_CONTROL if moving else NEAR_CONTROL_AT_REST
             else:
                 row = NEAR_SMASH if intention == Intention.SMASH else NEAR_BANK
-            worth[intention] = worth_of(person, row, open_straight)
-        if threatened:
-            worth[Intention.BLOCK] = worth_of(person, NEAR_BLOCK, open_straight)
+            utilities[intention] = utility(person, row, openness)
+        if state.goal_threatened:
+            utilities[Intention.BLOCK] = utility(person, NEAR_BLOCK, openness)
         else:
-            worth[Intention.SHADOW] = worth_of(person, NEAR_SHADOW, open_straight)
-    if worth[mind.intention] > IMPOSSIBLE:
-        worth[mind.intention] += person.staying
+            utilities[Intention.SHADOW] = utility(person, NEAR_SHADOW, openness)
+    if utilities[state.intention] > IMPOSSIBLE:
+        utilities[state.intention] += person.persistence_bonus
 
 
 @njit(cache=True)
-def sample_softmax(worth, temperature, rng, index):
-    """Draw an index of `worth` from its softmax at this temperature."""
-    best = worth.max()
+def sample_softmax(utilities, temperature, rng, index):
+    """Draw an index of `utilities` from their softmax, with the generator `rng[index]`."""
+    best = utilities.max()
     total = 0.0
-    for value in worth:
+    for value in utilities:
         total += exp((value - best) / temperature)
     left = total * random_unit(rng, index)
-    for choice in range(len(worth)):
-        left -= exp((worth[choice] - best) / temperature)
+    for choice in range(len(utilities)):
+        left -= exp((utilities[choice] - best) / temperature)
         if left < 0.0:
             return choice
-    return worth.argmax()
+    return utilities.argmax()
+
+
+@njit(cache=True)
+def find_move(person, state, arm, percept, path, table):
+    """The move that the present intention asks for: ((x, y, vx, vy, seconds), seconds until contact with the puck).
+
+    The contact is infinite where none is planned. If the intended strike is impossible, the move is a block and the
+    person will choose again.
+    """
+    intention = state.intention
+    jitter = person.position_jitter
+    puck_x, puck_y = path[0, 0], path[0, 1]
+    x, y = guard_x(person, table) + 0.5 * jitter * state.depth_offset, jitter * state.aim_offset
+    if intention == Intention.SHADOW:
+        y = clamp(person.lateral_tracking_gain * puck_y, -table.goal / 2, table.goal / 2) + jitter * state.aim_offset
+    elif intention == Intention.PRESS:
+        x = -person.press_distance - jitter * (1.0 + state.depth_offset)
+        y = puck_y * (table.length / 2 + x) / max(table.length / 2 + puck_x, 0.5) + jitter * state.aim_offset
+    elif intention == Intention.BLOCK:
+        x, y, arrival = blocking_position(person, path, table)
+        x, y, vx, vy, seconds = free_move(person, arm, x, y, path, table)
+        return (x, y, vx, vy, min(seconds, arrival)), np.inf
+    elif intention == Intention.REACH:
+        x, y = clamp(puck_x, -table.length / 2, 0.0), puck_y
+        seconds = move_time(person, arm.estimate_x, arm.estimate_y, x, y, table) + person.muscle_lag
+        return (x, y, 0.0, 0.0, seconds), np.inf
+    elif intention == Intention.RECOVER:
+        paddle_x, paddle_y = to_table(arm.estimate_x, arm.estimate_y, table)
+        x, y = detour(person, paddle_x, paddle_y, puck_x, puck_y, table)
+    elif intention != Intention.WAIT:
+        if state.time_to_contact < np.inf:  # under way
+            earliest = max(state.time_to_contact - person.strike_time_slack, person.min_correction_time)
+            effort = person.continue_effort_limit
+        else:
+            earliest, effort = person.min_strike_time, person.start_effort_limit
+        shot = intended_shot(person, state, percept, intention, table)
+        move, contact = find_strike(person, arm, path, shot, earliest, effort, table)
+        if contact < np.inf:
+            return move, contact
+        state.time_to_reconsider = 0.0
+        x, y, _ = blocking_position(person, path, table)
+    return free_move(person, arm, x, y, path, table), np.inf

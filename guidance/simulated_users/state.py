@@ -1,42 +1,91 @@
-"""What a person remembers from tick to tick, apart from the arm and what was seen, felt and done lately."""
+"""What changes in a person from tick to tick, and the arrays of n people that the compiled tick works on."""
+
+from typing import NamedTuple
 
 import numpy as np
 
-# One record a person. Seconds, meters of the hand and newtons, unless said otherwise.
+from airhockey_marl.envs.physics import TableSpec
+from guidance.simulated_users.advisors import Advisors
+
+# One record per person, apart from the arm's. Seconds, meters of the hand and newtons, unless said otherwise.
 USER_STATE = np.dtype(
     [
         ("age", np.int64),  # ticks since the round began
         # intention
-        ("told", np.int64),  # the intention that an experimenter asks for, or -1
+        ("instruction", np.int64),  # the intention that an experimenter asks for, or -1
         ("intention", np.int64),
-        ("next_intention", np.int64),  # decided, not yet effective
-        ("switch_left", np.float64),  # until it is; < 0: nothing decided
-        ("dwell_left", np.float64),  # until the person reconsiders without being made to
+        ("next_intention", np.int64),  # chosen, not yet effective
+        ("time_to_switch", np.float64),  # until it is effective; < 0: none chosen
+        ("time_to_reconsider", np.float64),  # until the next choice without an event
         ("situation", np.int64),
-        ("threatened", np.int64),  # expects the puck in the own goal
-        ("aim", np.float64),  # where in the goal's mouth, or off the middle of it at home, in -1..1
-        ("depth", np.float64),  # how far before or behind the usual place, in -1..1
-        ("sees_bounces", np.int64),  # anticipates the walls for this shot
-        ("strike_left", np.float64),  # until the planned contact; inf: none planned
-        # the errors of this plan's percept, each N(0, 1)
+        ("goal_threatened", np.int64),  # expects the puck in the own goal
+        ("aim_offset", np.float64),  # in the opponent's goal mouth, or from the middle at home, in -1..1
+        ("depth_offset", np.float64),  # before or behind the usual position, in -1..1
+        ("anticipates_bounces", np.int64),  # of this shot
+        ("time_to_contact", np.float64),  # as planned; inf: no strike planned
+        # errors of perception in this plan, each N(0, 1)
         ("speed_error", np.float64),
         ("heading_error", np.float64),
         ("bounce_error", np.float64),
         # plan
-        ("plan_left", np.float64),  # until the next plan
-        ("goal_x", np.float64),  # own goal of the hand, before any sharing
+        ("time_to_replan", np.float64),
+        ("goal_x", np.float64),  # own goal of the hand, before goal sharing
         ("goal_y", np.float64),
-        ("noise_left", np.float64),  # until the motor noise is drawn again
+        ("time_to_noise_draw", np.float64),
         ("noise_along", np.float64),  # share of speed
         ("noise_across", np.float64),
         ("tremor_x", np.float64),  # m/s
         ("tremor_y", np.float64),
-        # answer to the force
+        # response to the force
         ("co_contraction", np.float64),  # 0..1
-        ("push_x", np.float64),
+        ("push_x", np.float64),  # voluntary force
         ("push_y", np.float64),
         ("trust", np.float64),  # in the force's goals, 0..1
-        ("partner_x", np.float64),  # the goal read from the force
-        ("partner_y", np.float64),
     ]
 )
+
+
+class UserArrays(NamedTuple):
+    """All arrays of n people. Histories are ring buffers: row `age % ring` is the present.
+
+    Attributes:
+        people: (n,) `USER_PARAMETERS`.
+        states: (n,) `USER_STATE`.
+        arms: (n, 4) `ARM_STATE`: the arm, the arm without the force, and the forward model of each.
+        sums: (n,) `RATING_SIGNALS`.
+        observations: (n, ring, 12).
+        forces: (n, ring, 2) N.
+        prediction_errors: (n, ring, 2, 4) of the two forward models, m and m/s.
+        partner_goals: (n, ring, 2) m, read from the forces.
+        hands: (n, ring, 4) m, with and without the force.
+        actions: (n, 2) the hand's position over its reach.
+        streams: (n,) uint64, random number generators.
+    """
+
+    people: np.ndarray
+    states: np.ndarray
+    arms: np.ndarray
+    sums: np.ndarray
+    observations: np.ndarray
+    forces: np.ndarray
+    prediction_errors: np.ndarray
+    partner_goals: np.ndarray
+    hands: np.ndarray
+    actions: np.ndarray
+    streams: np.ndarray
+
+
+class Setting(NamedTuple):
+    """What all people of a batch have in common: the table, the `Variant` as an integer, and the advisors."""
+
+    table: TableSpec
+    variant: int
+    advisors: Advisors
+
+
+class Scratch(NamedTuple):
+    """Buffers of one person's tick: expected path (LOOK_AHEAD, 4), utilities (INTENTIONS,), perceived force (2,) N."""
+
+    path: np.ndarray
+    utilities: np.ndarray
+    force: np.ndarray

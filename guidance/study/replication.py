@@ -1,7 +1,7 @@
 """Replicated studies in batches, in this process or on a Ray cluster; resumable."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numba
@@ -47,7 +47,7 @@ class Batch:
         if self.group in (REPLICATES, SHUFFLED_ADAPTATION):
             return usual
         if self.group == ONE_PLAYSTYLE:
-            return replace(usual, trait_concentration=float("inf"), archetypes={"alike": [0.5] * len(TRAITS)})
+            return usual.with_parameters(trait_concentration=float("inf"), archetypes={"alike": [0.5] * len(TRAITS)})
         return scale_assumptions(usual, factors.loc[study])
 
 

@@ -1,7 +1,6 @@
 """Sensitivity analysis: populations whose assumed parameters are varied over a Latin hypercube."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import fields, replace
 from math import log
 
 import pandas as pd
@@ -9,9 +8,9 @@ from scipy.stats import qmc
 
 from airhockey_marl.experiment.validation import check_counts, check_numbers
 from guidance.simulated_users import Population
-from guidance.simulated_users.population import LogNormal, ScaledBeta, Share
+from guidance.simulated_users.population import PARAMETER_TYPES, LogNormal, Proportion, ScaledBeta
 
-WORTH = "worth."  # prefix of the parameters of the intentions' utilities
+UTILITY = "utility_weights."  # followed by one of `UTILITY_ROWS`
 
 
 def latin_hypercube(parameters: Sequence[str], points: int, largest: float, seed: int) -> pd.DataFrame:
@@ -35,28 +34,29 @@ def latin_hypercube(parameters: Sequence[str], points: int, largest: float, seed
 def scale_assumptions(population: Population, factors: Mapping[str, float]) -> Population:
     """The population with each named parameter multiplied by its factor.
 
-    Of a distribution, the median and the limits are multiplied; a share is limited to 1. The utility of an intention,
-    `worth.<name>`, has no meaningful zero: ln(factor) is added to it.
+    Of a log-normal parameter the median and the clip are scaled, of a Beta its scale; no proportion exceeds 1. A
+    utility, `utility_weights.<name>`, has no natural zero: ln(factor) is added to its constant.
 
     Raises:
         ValueError: a parameter does not exist.
     """
-    kinds, changes, worth = {item.name: item.type for item in fields(Population)}, {}, dict(population.worth)
+    parameters, changes, utilities = population.parameters(), {}, dict(population.intention.utility_weights)
     for name, factor in factors.items():
         check_numbers(above=0.0, **{f"factors[{name!r}]": factor})
-        if name.removeprefix(WORTH) in worth and name.startswith(WORTH):
-            constant, *terms = worth[name.removeprefix(WORTH)]
-            worth[name.removeprefix(WORTH)] = [constant + log(factor), *terms]
-        elif name in kinds and kinds[name] not in (Mapping[str, Sequence[float]],):
-            changes[name] = _scaled(getattr(population, name), factor, kinds[name])
+        row = name.removeprefix(UTILITY)
+        if name.startswith(UTILITY) and row in utilities:
+            constant, *terms = utilities[row]
+            utilities[row] = [constant + log(factor), *terms]
+        elif name in parameters and not isinstance(parameters[name], Mapping):
+            changes[name] = _scaled(parameters[name], factor, PARAMETER_TYPES[name])
         else:
             raise ValueError(f"sensitivity.parameters: {name} is not a parameter of people")
-    return replace(population, **changes, worth=worth)
+    return population.with_parameters(**changes, utility_weights=utilities)
 
 
-def _scaled(law: object, factor: float, kind: type) -> object:
-    if isinstance(law, LogNormal):
-        return law._replace(median=factor * law.median, low=factor * law.low, high=factor * law.high)
-    if isinstance(law, ScaledBeta):
-        return law._replace(scale=min(1.0, factor * law.scale))
-    return min(1.0, factor * law) if kind is Share else factor * law
+def _scaled(value: object, factor: float, kind: type) -> object:
+    if isinstance(value, LogNormal):
+        return value._replace(median=factor * value.median, low=factor * value.low, high=factor * value.high)
+    if isinstance(value, ScaledBeta):
+        return value._replace(scale=min(1.0, factor * value.scale))
+    return min(1.0, factor * value) if kind is Proportion else factor * value

@@ -78,7 +78,7 @@ def observe(
         state[:, 0], state[:, 1] = to_table(users.hand[:, 0], users.hand[:, 1], TABLE)
         state[:, 8:] = marks[:, tick]
         users.step(state, force[:, tick])
-        hand[:, tick], velocity[:, tick], meant[:, tick] = users.hand, users.hand_velocity, users.strike_in
+        hand[:, tick], velocity[:, tick], meant[:, tick] = users.hand, users.hand_velocity, users.time_to_contact
     shape = (n, trials, ticks)
     return Record(*(part.reshape(*shape, -1) for part in (hand, velocity, force)), meant.reshape(shape))
 

@@ -271,8 +271,8 @@ def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
         ("battery", "play_seconds=1", "play_seconds = 1 must be a number of at least 10.0"),
         ("battery", "laboratory=1", "laboratory = 1 must be a whole number of at least 2"),
         ("battery", "users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist, goal_sharing"),
-        ("battery", "~users.population.worth.away_wait", "users.worth.away_wait must be given"),
-        ("battery", "users.population.leap=0", "users.leap = 0 must be a number above 0"),
+        ("battery", "~users.population.intention.utility_weights.away_wait", "utility_weights.away_wait must be given"),
+        ("battery", "users.population.situation.position_jump=0", "position_jump = 0 must be a number above 0"),
         (
             "meta_train",
             "users.variant=V9",

@@ -41,8 +41,8 @@ def test_every_choice_of_a_group_composes(group):
 
 def test_beginners_are_the_same_people_with_less_skill():
     usual, novice = (compose_evaluate(f"users={users}").users for users in ("default", "novice"))
-    assert novice.population.skill_mean == -1.5
-    novice.population.skill_mean = usual.population.skill_mean
+    assert novice.population.style.skill_mean == -1.5
+    novice.population.style.skill_mean = usual.population.style.skill_mean
     assert OmegaConf.to_container(novice) == OmegaConf.to_container(usual)
 
 
@@ -61,4 +61,4 @@ def test_every_key_of_a_primary_yaml_is_explained_above_it(name):
 
 def test_the_yaml_of_the_population_is_the_population():
     cfg = OmegaConf.load(CONF / "users" / "default.yaml")
-    assert construct(Population, cfg.population, "users.population") == Population.usual()
+    assert construct(Population, cfg.population, "users.population") == Population.default()

@@ -47,8 +47,8 @@ def play(advisors, ticks: int = 600, **changes) -> np.ndarray:
 def test_advice_changes_what_people_choose_and_no_advice_does_not():
     advisors = stack_advisors(league((16,), "paddle"))
     alone = play(NO_ADVISORS)
-    assert np.array_equal(alone, play(advisors, advice=0.0))
-    assert not np.array_equal(alone, play(advisors, advice=0.5))
+    assert np.array_equal(alone, play(advisors, advisor_weight=0.0))
+    assert not np.array_equal(alone, play(advisors, advisor_weight=0.5))
     assert np.array_equal(play(advisors), play(advisors))
 
 
@@ -63,7 +63,7 @@ def test_advice_pulls_choices_its_way():
     ahead = []
     for advice in (0.0, 1.5):
         people = sample_people(20, 4)
-        people["advice"] = advice
+        people["advisor_weight"] = advice
         users = SimulatedUsers(people, personal_streams(20, 4), TABLE, "comply_or_resist", stack_advisors(pool))
         ahead.append(np.mean([users.step(still(20), np.zeros((20, 2)))[:, 0].mean() for _ in range(500)]))
     assert ahead[1] > ahead[0] + 0.2

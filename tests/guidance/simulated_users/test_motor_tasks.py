@@ -1,13 +1,12 @@
 """The people in the tasks by which real hands have been measured: within human ranges, and for the right reasons."""
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 
 from guidance.commands.validate_users import MEASURES, as_table, in_the_laboratory
 from guidance.simulated_users import Population, sample_people
 from guidance.simulated_users.intention import Intention
+from guidance.simulated_users.population import LogNormal
 from guidance.simulated_users.validation.motor_tasks import (
     APPEARS,
     marks_at,
@@ -37,8 +36,8 @@ def test_the_default_population_is_within_the_human_ranges(people):
 
 def test_a_reaction_takes_as_long_as_its_parts(people):
     slow = people.copy()
-    slow["sight_delay"] += 0.06
-    slow["decision_floor"] += 0.04
+    slow["visual_delay"] += 0.06
+    slow["response_delay"] += 0.04
     later = reaction_times(slow, trials=10) - reaction_times(people, trials=10)
     assert later.mean() == pytest.approx(0.10, abs=0.015)
 
@@ -106,10 +105,9 @@ def test_reaches_that_miss_have_no_movement_time(people):
 
 
 def test_people_without_differences_react_alike():
-    names = [item.name for item in fields(Population)]
-    usual = Population.usual()
-    same = {n: getattr(usual, n)._replace(log_sd=0.0) for n in names if hasattr(getattr(usual, n), "log_sd")}
-    clones = sample_people(8, 5, Population.usual(**same, skill_sd=0.0, delay_noise=0.0))
-    others = sample_people(8, 5, Population.usual(delay_noise=0.0))
+    parameters = Population.default().parameters()
+    same = {name: value._replace(log_sd=0.0) for name, value in parameters.items() if isinstance(value, LogNormal)}
+    clones = sample_people(8, 5, Population.default(**same, skill_sd=0.0, delay_noise=0.0))
+    others = sample_people(8, 5, Population.default(delay_noise=0.0))
     spread, usual = (reaction_times(people, trials=10).mean(axis=1).std() for people in (clones, others))
     assert spread < 0.3 * usual

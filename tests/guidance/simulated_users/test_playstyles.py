@@ -1,7 +1,5 @@
 """People differ, and are themselves: playstyle and person can be told from a game, but not where there is no spread."""
 
-from dataclasses import fields
-
 import numpy as np
 import pytest
 import torch
@@ -12,6 +10,7 @@ from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from guidance.commands.validate_users import by_skill
 from guidance.simulated_users import Population, load_advisors, sample_people
+from guidance.simulated_users.population import LogNormal
 from guidance.simulated_users.validation.playstyles import FEATURES, blows, features, recognized, told_apart
 from guidance.study.demonstrations import collect_demonstrations
 
@@ -31,13 +30,15 @@ def advisors():
 
 def games(population: Population, seed: int, opponent, advisors) -> tuple[np.ndarray, list[np.ndarray]]:
     """Archetypes (n,), and the features (n, 10) of each of two games."""
-    people = np.concatenate([sample_people(EACH, seed + i, population, a) for i, a in enumerate(population.archetypes)])
+    people = np.concatenate(
+        [sample_people(EACH, seed + i, population, a) for i, a in enumerate(population.style.archetypes)]
+    )
     data = collect_demonstrations(people, opponent, 2, TICKS, TABLE, "comply_or_resist", advisors, seed)
     return people["archetype"], [features(data.observation[:, game], TABLE) for game in (0, 1)]
 
 
 def test_people_are_told_apart_and_recognized(opponent, advisors):
-    population = Population.usual()
+    population = Population.default()
     style, (known, _) = games(population, 4000, opponent, advisors)
     others, (one, another) = games(population, 4500, opponent, advisors)
     assert np.mean(told_apart(known, style, one) == others) > 0.4  # chance is 1 of 6
@@ -45,11 +46,10 @@ def test_people_are_told_apart_and_recognized(opponent, advisors):
 
 
 def test_people_without_any_spread_are_not(opponent, advisors):
-    usual = Population.usual()
-    same = {item.name: getattr(usual, item.name) for item in fields(Population)}
-    same = {name: law._replace(log_sd=0.0) for name, law in same.items() if hasattr(law, "log_sd")}
-    alike = {name: [0.5] * 6 for name in usual.archetypes}
-    population = Population.usual(**same, archetypes=alike, trait_concentration=np.inf, skill_sd=0.0)
+    default = Population.default()
+    same = {k: value._replace(log_sd=0.0) for k, value in default.parameters().items() if isinstance(value, LogNormal)}
+    alike = {name: [0.5] * 6 for name in default.style.archetypes}
+    population = Population.default(**same, archetypes=alike, trait_concentration=np.inf, skill_sd=0.0)
     style, (known, _) = games(population, 4000, opponent, advisors)
     others, (one, another) = games(population, 4500, opponent, advisors)
     assert np.mean(told_apart(known, style, one) == others) < 0.4
@@ -57,7 +57,7 @@ def test_people_without_any_spread_are_not(opponent, advisors):
 
 
 def test_more_skill_wins_more_and_stops_more(opponent, advisors):
-    found = by_skill(Population.usual(), 90, opponent, "comply_or_resist", advisors, 0)
+    found = by_skill(Population.default(), 90, opponent, "comply_or_resist", advisors, 0)
     won, stopped = ([np.nanmean(v) for name, v in found.items() if name.startswith(w)] for w in ("rounds", "shots"))
     assert won[0] < won[2] and stopped[0] < stopped[1] < stopped[2]
     assert won[0] - 0.02 < won[1] < won[2] + 0.02

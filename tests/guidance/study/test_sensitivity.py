@@ -10,11 +10,7 @@ from airhockey_marl.experiment.command import CONF
 from guidance.simulated_users import Population, sample_people
 from guidance.study.sensitivity import latin_hypercube, scale_assumptions
 
-PARAMETERS = list(OmegaConf.load(CONF / "replicate.yaml").sensitivity.parameters)
-SPREADS = {  # how widely people or measurements spread, not what they are like
-    *("stiffening_shape", "rating_gain_log_sd", "rating_bias_sd", "rating_noise", "delay_noise"),
-    "archetypes",
-}
+PARAMETERS = list(OmegaConf.load(CONF / "users" / "default.yaml").assumed)
 
 
 def test_every_slice_of_every_range_is_used_once():
@@ -26,13 +22,13 @@ def test_every_slice_of_every_range_is_used_once():
 
 
 def test_no_change_leaves_people_as_they_are():
-    usual = Population.usual()
+    usual = Population.default()
     same = scale_assumptions(usual, dict.fromkeys(PARAMETERS, 1.0))
     assert np.array_equal(sample_people(20, 3, usual), sample_people(20, 3, same))
 
 
 def test_each_assumption_changes_people_and_stays_valid():
-    usual = Population.usual()
+    usual = Population.default()
     before = sample_people(30, 3, usual)
     for name in PARAMETERS:
         for factor in (1 / 1.5, 1.5):
@@ -41,26 +37,28 @@ def test_each_assumption_changes_people_and_stays_valid():
 
 
 def test_laws_keep_their_shape_and_shares_their_limit():
-    usual = Population.usual()
-    law = scale_assumptions(usual, {"dwell": 1.4}).dwell
+    usual = Population.default()
+    law = scale_assumptions(usual, {"dwell": 1.4}).intention.dwell
     assert law == pytest.approx((1.4 * 0.21, 0.2, 1.4 * 0.15, 1.4 * 0.30, -0.3))
-    assert scale_assumptions(usual, {"resistance": 1.5}).resistance.scale == 1.0
-    assert scale_assumptions(usual, {"aim_widest": 1.5}).aim_widest == 1.0
-    before, after = usual.worth["near_smash"], scale_assumptions(usual, {"worth.near_smash": np.e}).worth["near_smash"]
+    assert scale_assumptions(usual, {"resistance": 1.5}).force_response.resistance.scale == 1.0
+    assert scale_assumptions(usual, {"max_aim": 1.5}).striking.max_aim == 1.0
+    scaled = scale_assumptions(usual, {"utility_weights.near_smash": np.e})
+    before, after = (population.intention.utility_weights["near_smash"] for population in (usual, scaled))
     assert after[0] == pytest.approx(before[0] + 1) and list(after[1:]) == list(before[1:])
 
 
-def test_what_is_assumed_is_what_is_marked_so():
-    """The list in conf/replicate.yaml is that of the numbers with an [A] in conf/users/default.yaml."""
-    marked, section = set(), False
+def test_the_assumed_parameters_are_those_tagged_so():
+    tagged, table = [], None
     for line in (CONF / "users" / "default.yaml").read_text(encoding="utf-8").splitlines():
-        if line.strip().startswith("#"):
-            section = "all [A]" in line or (section and "# --" not in line)
-        elif match := re.match(r"  (  )?(\w+): *([^#]*)(.*)", line):
-            nested, name, value, comment = match.groups()
-            if value.strip() and (section or re.search(r"(?<!clip )(?<!log-sd )\[A\]", comment)):
-                marked.add(f"worth.{name}" if nested else name)
-    assert set(PARAMETERS) == marked - SPREADS
+        if match := re.match(r"( {4,6})(\w+):([^#]*)(.*)", line):
+            indent, name, value, comment = match.groups()
+            table = table if len(indent) == 6 else name
+            if "[A]" in comment and value.strip():
+                tagged.append(f"{table}.{name}" if len(indent) == 6 else name)
+    assert sorted(PARAMETERS) == sorted(tagged)
+    assert OmegaConf.load(CONF / "replicate.yaml")._get_node("sensitivity")._get_node("parameters")._value() == (
+        "${users.assumed}"
+    )
 
 
 @pytest.mark.parametrize(
@@ -69,9 +67,12 @@ def test_what_is_assumed_is_what_is_marked_so():
         (lambda: latin_hypercube(["a"], 0, 1.5, 0), r"sensitivity\.points = 0"),
         (lambda: latin_hypercube(["a"], 3, 1.0, 0), r"sensitivity\.largest = 1\.0"),
         (lambda: latin_hypercube(["a", "a"], 3, 1.5, 0), "a more than once"),
-        (lambda: scale_assumptions(Population.usual(), {"courage": 1.1}), "courage is not a parameter"),
-        (lambda: scale_assumptions(Population.usual(), {"worth.courage": 1.1}), r"worth\.courage is not a parameter"),
-        (lambda: scale_assumptions(Population.usual(), {"archetypes": 1.1}), "archetypes is not a parameter"),
+        (lambda: scale_assumptions(Population.default(), {"courage": 1.1}), "courage is not a parameter"),
+        (
+            lambda: scale_assumptions(Population.default(), {"utility_weights.courage": 1.1}),
+            r"utility_weights\.courage is not a parameter",
+        ),
+        (lambda: scale_assumptions(Population.default(), {"archetypes": 1.1}), "archetypes is not a parameter"),
     ],
 )
 def test_wrong_settings_are_named(call, message):
