@@ -46,7 +46,7 @@ from guidance.study.demonstrations import collect_demonstrations
 from guidance.study.models import save_user_model
 from guidance.study.provenance import load_opponent
 from guidance.user_model.data import Demonstrations
-from guidance.user_model.evaluation import judge, predictors
+from guidance.user_model.evaluation import prediction_metrics, predictors
 from guidance.user_model.rounds import action_ahead
 from guidance.user_model.training import train_maml, train_supervised
 
@@ -196,7 +196,9 @@ def prediction_scores(
     for observation, action in zip(data.observation, data.action, strict=True):
         everybody = predictors(user, meta, inner_lr, observation[0], action[0], TableSpec(), ahead)
         for name, predictor in everybody.items():
-            found.setdefault(name, []).append(judge(predictor, observation[-1], action[-1], ahead, TableSpec()))
+            found.setdefault(name, []).append(
+                prediction_metrics(predictor, observation[-1], action[-1], ahead, TableSpec())
+            )
     return {
         f"{name}_{measure}": float(np.mean([person[measure] for person in people]))
         for name, people in found.items()

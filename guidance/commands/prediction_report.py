@@ -40,8 +40,8 @@ from guidance.user_model.data import Demonstrations
 from guidance.user_model.evaluation import (
     Predictor,
     adapted_model,
-    by_model,
-    judge,
+    model_predictor,
+    prediction_metrics,
     predictors,
     reliability,
     with_intervals,
@@ -116,13 +116,13 @@ def known(models: Models, seen: Tensor, action: Tensor, table: TableSpec) -> dic
 
 @torch.no_grad()
 def errors_ahead(models: Models, data: Demonstrations, ahead: list[float], table: TableSpec) -> list[dict]:
-    """A row per predictor and time ahead: each measure of `judge`, and its gain over extrapolation, with intervals."""
+    """A row per predictor and time ahead: each measure of `prediction_metrics`, and its gain over extrapolation, with intervals."""
     found: dict[tuple[str, float], list[dict[str, float]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
         everybody = known(models, observation[0], action[0], table)
         for name, predictor in everybody.items():
             for seconds in ahead:
-                row = judge(predictor, observation[-1], action[-1], seconds, table)
+                row = prediction_metrics(predictor, observation[-1], action[-1], seconds, table)
                 found.setdefault((name, seconds), []).append(row)
     rows = []
     for (name, seconds), people in found.items():
@@ -182,8 +182,10 @@ def _after(
         at = slice(person, person + 1)
         then = action_ahead(seen[at], action[at], models.ahead, table)
         adapted = adapt_to_user(models.meta, parameters(models.meta), seen[at], then, models.inner_lr, steps)[0]
-        predictor = by_model(adapted_model(models.meta, adapted), models.ahead)
-        people.append(judge(predictor, data.observation[person, -1], data.action[person, -1], models.ahead, table))
+        predictor = model_predictor(adapted_model(models.meta, adapted), models.ahead)
+        people.append(
+            prediction_metrics(predictor, data.observation[person, -1], data.action[person, -1], models.ahead, table)
+        )
     return with_intervals({key: np.array([person[key] for person in people]) for key in ("rmse", "nll")})
 
 

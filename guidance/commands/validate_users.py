@@ -35,7 +35,7 @@ from guidance.simulated_users.validation.motor_tasks import (
     reaction_times,
     timing_errors,
 )
-from guidance.simulated_users.validation.playstyles import features, recognized, told_apart
+from guidance.simulated_users.validation.playstyles import classify_styles, features, identification_rate
 from guidance.study.demonstrations import collect_demonstrations
 from guidance.study.games import no_force, play_games
 from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states
@@ -147,8 +147,8 @@ def at_the_table(
     fastest = np.percentile(np.concatenate(speeds), 99.9)
     found = {
         "speed of the hand in play, 99.9 %": np.array([fastest]),
-        "playstyle told from a game, unseen people": told_apart(first, style, one) == style,
-        "person told from another game": np.array([recognized(one, another)]),
+        "playstyle told from a game, unseen people": classify_styles(first, style, one) == style,
+        "person told from another game": np.array([identification_rate(one, another)]),
     }
     return found, [data.observation[:, 0] for data in unseen]
 

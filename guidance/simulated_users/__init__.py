@@ -1,4 +1,4 @@
-"""Simulated people: who they are, how they see, decide, move, and answer a force, and what they would tick."""
+"""Simulated users: perception, intention, movement, response to force, and rating proxies. See README.md."""
 
 from guidance.simulated_users.advisors import NO_ADVISORS, Advisors, load_advisors
 from guidance.simulated_users.population import Population, personal_streams, sample_people, training_people

@@ -6,20 +6,18 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from airhockey_marl.experiment.validation import check_counts
-
 Samples = tuple[Tensor, Tensor]
 
 
 @dataclass(frozen=True)
 class Demonstrations:
-    """D^U: what users did in games without guidance, tick by tick.
+    """D^U: observations and actions of users in games without guidance.
 
-    Every user has the same number of games, every game the same number of ticks; ticks are contiguous in time.
+    All users have the same number of games, all games the same number of contiguous ticks.
 
     Attributes:
         observation: (users, games, ticks, 12), floating point and finite.
-        action: (users, games, ticks, 2), likewise, of the same dtype.
+        action: (users, games, ticks, 2), of the same dtype and finite.
 
     Raises:
         ValueError: a shape or dtype is wrong, the two disagree, or a value is not finite.
@@ -49,27 +47,22 @@ class Demonstrations:
             )
 
     def to(self, device: str) -> "Demonstrations":
-        """The same on another device."""
+        """A copy on another device."""
         return Demonstrations(self.observation.to(device), self.action.to(device))
 
     def batches(self, size: int, generator: torch.Generator | None = None) -> Iterator[Samples]:
-        """All ticks of all users once, shuffled, in batches (size, .); the last may be smaller.
-
-        Raises:
-            ValueError: ``size`` is less than 1.
-        """
-        check_counts(size=size)
+        """All ticks of all users once, shuffled, in batches (size, .); the last may be smaller."""
         observation, action = self.observation.flatten(0, 2), self.action.flatten(0, 2)  # (n, 12), (n, 2)
         for index in torch.randperm(len(action), generator=generator).split(size):
             index = index.to(action.device)
             yield observation[index], action[index]
 
     def pairs(self, block: int, generator: torch.Generator | None = None) -> Iterator[tuple[Samples, Samples]]:
-        """D_demo and D_valid of all users, for one meta-step after the other.
+        """D_demo and D_valid of all users, one pair per meta-step.
 
         Games are cut into blocks of contiguous ticks. Each block is used at most once, and the two blocks of a pair
-        come from different games of the same user, so that a model adapted to one is judged on play it has not seen.
-        Left out are the ticks of a game after its last whole block and, of an odd number of blocks, one.
+        come from different games of the same user: a model is validated on another game than it has adapted to.
+        The ticks of a game after its last full block are left out, and one block if their number is odd.
 
         Args:
             block: ticks of D_demo and of D_valid; 1K in the paper.
@@ -79,7 +72,7 @@ class Demonstrations:
             Two pairs of observation (users, block, 12) and action (users, block, 2).
 
         Raises:
-            ValueError: there are fewer than two games a user, or ``block`` is not within 1 and the ticks of a game.
+            ValueError: fewer than two games per user, or ``block`` not from 1 to the ticks of a game.
         """
         users, games, ticks = self.action.shape[:3]
         if games < 2:
@@ -92,9 +85,9 @@ class Demonstrations:
             return tensor[:, :, : per_game * block].unflatten(2, (per_game, block)).flatten(1, 2)
 
         observation, action = cut(self.observation), cut(self.action)
-        # Blocks in random order, but game by game: whatever lies half the list apart is then from two games, for no
-        # game owns more than half of the blocks.
-        game = torch.rand(users, games, generator=generator).argsort(dim=1).double()  # a random rank for each
+        # Blocks in random order, but game by game. Two blocks half the list apart are then of different games, as no
+        # game has more than half of the blocks.
+        game = torch.rand(users, games, generator=generator).argsort(dim=1).double()  # rank of each game
         within = torch.rand(users, games, per_game, generator=generator, dtype=torch.float64)  # in [0, 1)
         order = (game[..., None] + within).flatten(1).argsort(dim=1).to(action.device)  # (users, blocks)
         half = games * per_game // 2

@@ -1,4 +1,4 @@
-"""A data set of demonstrations on disk: a memory-mapped TensorDict, and the same as Parquet; both without a pickle."""
+"""A data set of demonstrations on disk: a memory-mapped TensorDict, and the same rows as Parquet; no pickles."""
 
 import json
 import os
@@ -14,10 +14,9 @@ from tensordict import TensorDict
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.files import atomic_write, sha256
-from airhockey_marl.experiment.validation import check_arrays
 from guidance.simulated_users.arm import HAND_REACH
 from guidance.user_model.data import Demonstrations
-from guidance.user_model.rounds import hand_speed, round_begins
+from guidance.user_model.rounds import hand_speed, round_starts
 
 TENSORS, ROWS, PEOPLE, CARD = "demonstrations", "demonstrations.parquet", "people.csv", "card.json"
 ABOUT = "air hockey without guidance, played by SIMULATED people: no human being took part"
@@ -44,8 +43,7 @@ COLUMNS = {  # name: (type, unit, meaning)
 
 
 def people_table(people: np.ndarray, archetypes: list[str]) -> pd.DataFrame:
-    """A row per person of `people` (users,): every parameter in SI units, of an array each element (worth_0_1)."""
-    check_arrays("V", people=(people, "n"))
+    """A row per person of `people` (users,): parameters in SI units, array elements one by one (utility_weights_0_1)."""
     columns = {"user": np.arange(len(people))}
     for name in people.dtype.names or ():
         for place in np.ndindex(people[name].shape[1:]):
@@ -54,28 +52,28 @@ def people_table(people: np.ndarray, archetypes: list[str]) -> pd.DataFrame:
 
 
 def write_tensors(path: Path, data: Demonstrations) -> None:
-    """Write the TensorDict as a folder of meta.json and raw .memmap files, whole or not at all."""
+    """Write the TensorDict atomically, as a folder of meta.json and raw .memmap files."""
     batch = data.action.shape[:3]
     user, game, _ = torch.meshgrid(*map(torch.arange, batch), indexing="ij")
     tensors = TensorDict({"observation": data.observation, "action": data.action, "user": user, "game": game}, batch)
     with TemporaryDirectory(dir=path.parent, prefix=f".{path.name}.") as temporary:
-        whole = Path(temporary) / path.name
-        tensors.memmap(whole)
-        for file in whole.iterdir():
-            with file.open("rb") as written:
-                os.fsync(written.fileno())
-            file.chmod(0o444)  # a tensor mapped from it that is changed in place then changes in memory only
-        whole.rename(path)
+        complete = Path(temporary) / path.name
+        tensors.memmap(complete)
+        for file in complete.iterdir():
+            with file.open("rb") as handle:
+                os.fsync(handle.fileno())
+            file.chmod(0o444)  # so that changing a mapped tensor in place changes memory only
+        complete.rename(path)
 
 
 def write_rows(path: Path, data: Demonstrations, archetypes: pd.Series, table: TableSpec) -> None:
-    """Write the Parquet file: a row per tick in the order of users, games and ticks; the columns are `COLUMNS`."""
-    facts = {name: {"unit": unit, "meaning": meaning} for name, (_, unit, meaning) in COLUMNS.items()}
-    fields = [pa.field(name, kind, metadata=facts[name]) for name, (kind, *_) in COLUMNS.items()]
+    """Write the Parquet file with the columns `COLUMNS`: a row per tick, ordered by user, game and tick."""
+    metadata = {name: {"unit": unit, "meaning": meaning} for name, (_, unit, meaning) in COLUMNS.items()}
+    fields = [pa.field(name, kind, metadata=metadata[name]) for name, (kind, *_) in COLUMNS.items()]
     schema = pa.schema(fields, metadata={"data": ABOUT, "frame": FRAME})
     game, tick = np.indices(data.action.shape[1:3]).reshape(2, -1)
-    packing = {"compression": "zstd", "use_dictionary": ["user", "game", "archetype"]}  # of other columns it takes more
-    with atomic_write(path) as temporary, pq.ParquetWriter(temporary, schema, **packing) as writer:
+    options = {"compression": "zstd", "use_dictionary": ["user", "game", "archetype"]}  # larger with more
+    with atomic_write(path) as temporary, pq.ParquetWriter(temporary, schema, **options) as writer:
         for user, archetype in enumerate(archetypes):
             numbers = torch.cat([data.observation[user], data.action[user]], dim=-1).flatten(0, 1).T.numpy()  # (14, n)
             rows = [np.full(len(tick), user), game, tick, tick * table.tick, [archetype] * len(tick), *numbers]
@@ -83,37 +81,38 @@ def write_rows(path: Path, data: Demonstrations, archetypes: pd.Series, table: T
 
 
 def load(folder: Path | str) -> Demonstrations:
-    """Read the demonstrations of a run folder of this command into memory.
+    """Read the demonstrations of a run folder of `airhockey collect` into memory.
 
     Raises:
-        ValueError: the run was not finished, or a file is not the one that its card lists.
-        RuntimeError: the folder, from elsewhere, holds a pickle; it is not loaded.
+        ValueError: the run is unfinished, or a file does not match the hash in its card.
+        RuntimeError: the folder holds a pickle, which is not loaded.
     """
     folder = Path(folder)
     try:
-        listed = dict(json.loads((folder / CARD).read_text(encoding="utf-8"))["sha256"])
+        hashes = dict(json.loads((folder / CARD).read_text(encoding="utf-8"))["sha256"])
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ValueError(
             f"{folder} is not a finished run of guidance.commands.collect: it has no {CARD} with sha256"
         ) from error
-    for name in sorted(name for name in listed if name.startswith(f"{TENSORS}/")):
-        if not (folder / name).is_file() or sha256(folder / name) != listed[name]:
+    for name in sorted(name for name in hashes if name.startswith(f"{TENSORS}/")):
+        if not (folder / name).is_file() or sha256(folder / name) != hashes[name]:
             raise ValueError(f"{folder / name} is missing or not the file that {CARD} lists")
-    # only now: mapping a file that is too short fills it up with zeros
+    # Only after the check: mapping a file that is too short extends it with zeros.
     tensors = TensorDict.load_memmap(folder / TENSORS, allow_pickle=False)
     return Demonstrations(tensors["observation"].clone(), tensors["action"].clone())
 
 
 def summary(data: Demonstrations, table: TableSpec) -> pd.DataFrame:
-    """A row per user: goals per minute, mean and SD of the hand's speed in m/s and of the paddle's place in m."""
-    begins = round_begins(data.observation, table)
-    goal, ahead = begins[..., 1:], data.observation[..., :-1, 8] > 0  # and before it the puck was on the other side
-    minutes = begins[0].numel() * table.tick / 60
-    found = {"scored_per_minute": (goal & ahead).sum((1, 2)) / minutes}
-    found["conceded_per_minute"] = (goal & ~ahead).sum((1, 2)) / minutes
+    """A row per user: goals per minute, mean and SD of the hand's speed in m/s and of the paddle's position in m."""
+    starts = round_starts(data.observation, table)
+    # a new round after a goal; the side of the puck in the tick before tells who scored
+    goal, ahead = starts[..., 1:], data.observation[..., :-1, 8] > 0
+    minutes = starts[0].numel() * table.tick / 60
+    columns = {"scored_per_minute": (goal & ahead).sum((1, 2)) / minutes}
+    columns["conceded_per_minute"] = (goal & ~ahead).sum((1, 2)) / minutes
     speed = hand_speed(data.observation, data.action, table)
-    measured = {"hand_m_s": speed, "own_x_m": data.observation[..., 0], "own_y_m": data.observation[..., 1]}
-    for name, values in measured.items():
+    quantities = {"hand_m_s": speed, "own_x_m": data.observation[..., 0], "own_y_m": data.observation[..., 1]}
+    for name, values in quantities.items():
         flat = values.flatten(1).double()
-        found |= {f"{name}_mean": flat.mean(dim=1), f"{name}_sd": flat.std(dim=1, correction=0)}
-    return pd.DataFrame({name: values.double().numpy() for name, values in found.items()})
+        columns |= {f"{name}_mean": flat.mean(dim=1), f"{name}_sd": flat.std(dim=1, correction=0)}
+    return pd.DataFrame({name: values.double().numpy() for name, values in columns.items()})

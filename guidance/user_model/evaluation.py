@@ -1,7 +1,7 @@
-"""How well a person's actions are predicted, ahead of time and by whom: errors, likelihoods, coverage.
+"""Evaluation of predictors of a person's actions: errors, likelihoods and coverage by prediction horizon.
 
-Everything is computed person by person, so that intervals are over people and not over ticks. Actions and errors are
-in units of action (0.075 m of the hand).
+Metrics are per person, so that intervals are over people and not over ticks. Actions and errors are in units of action
+(0.075 m of the hand). Play is observations (ticks, 12) and actions (ticks, 2) of one person.
 """
 
 import math
@@ -15,72 +15,67 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from airhockey_marl.envs.physics import TableSpec, action_range
-from airhockey_marl.experiment.validation import CPU, check_arrays, check_counts, check_numbers, check_tensors
 from guidance.forces.equations import lookahead_state
 from guidance.user_model.maml import forward, parameters
-from guidance.user_model.rounds import action_ahead, round_begins
+from guidance.user_model.rounds import action_ahead, round_starts
 from guidance.user_model.training import adapt_to_user
 
-# Observations (ticks, 12) and seconds ahead -> mean and STD (ticks, 2) of the action then.
+# Observations (ticks, 12) and a horizon in seconds -> mean and STD (ticks, 2) of the action at that horizon.
 Predictor = Callable[[Tensor, float], tuple[Tensor, Tensor]]
-SIGMAS = {1: 1 - math.exp(-0.5), 2: 1 - math.exp(-2.0)}  # share of a two-dimensional Gaussian within so many STDs
+SIGMAS = {1: 1 - math.exp(-0.5), 2: 1 - math.exp(-2.0)}  # share of a two-dimensional Gaussian within n STDs
 
 
-def paddle(observation: Tensor, table: TableSpec) -> tuple[Tensor, Tensor]:
-    """Place (..., 2) of the own paddle in units of action, and its velocity (..., 2) per second."""
-    check_tensors(CPU, observation=(observation, "... 12"))
+def paddle_as_action(observation: Tensor, table: TableSpec) -> tuple[Tensor, Tensor]:
+    """Position (..., 2) of the own paddle in units of action, and its velocity (..., 2) per second."""
     middle, half = (torch.tensor(part, dtype=observation.dtype) for part in action_range(table))
     return (observation[..., 0:2] - middle) / half, observation[..., 2:4] / half
 
 
 def persistence(observation: Tensor, action: Tensor, table: TableSpec) -> Predictor:
-    """Whoever says that the hand stays where the paddle is; its STD is what that is worth on this play."""
-    check_tensors(CPU, observation=(observation, "ticks 12"), action=(action, "ticks 2"))
-    return _baseline(lambda seen, seconds: paddle(seen, table)[0], observation, action, table)
+    """The baseline that the hand stays at the paddle's position; its STD is its error on this play."""
+    return _with_empirical_std(lambda states, seconds: paddle_as_action(states, table)[0], observation, action, table)
 
 
 def extrapolation(observation: Tensor, action: Tensor, table: TableSpec) -> Predictor:
-    """Whoever moves the paddle on with its velocity; its lead on the paddle is fitted to this play (ticks, .)."""
-    check_tensors(CPU, observation=(observation, "ticks 12"), action=(action, "ticks 2"))
-    place, velocity = paddle(observation, table)
-    lead = ((velocity * (action - place)).sum() / velocity.square().sum().clamp(min=1e-9)).item()  # s
+    """The baseline that the paddle keeps its velocity; the hand's lead over the paddle is fitted to this play."""
+    position, velocity = paddle_as_action(observation, table)
+    lead = ((velocity * (action - position)).sum() / velocity.square().sum().clamp(min=1e-9)).item()  # s
 
-    def guess(seen: Tensor, seconds: float) -> Tensor:
-        place, velocity = paddle(seen, table)
-        return (place + (lead + seconds) * velocity).clamp(-1.0, 1.0)
+    def predict_mean(states: Tensor, seconds: float) -> Tensor:
+        position, velocity = paddle_as_action(states, table)
+        return (position + (lead + seconds) * velocity).clamp(-1.0, 1.0)
 
-    return _baseline(guess, observation, action, table)
-
-
-def ahead(observation: Tensor, seconds: float, table: TableSpec) -> tuple[Tensor, Tensor]:
-    """Ticks (k,) of one person's play (ticks, 12), and the ticks (k,) `seconds` after them, in the same round."""
-    check_tensors(CPU, observation=(observation, "ticks 12"))
-    check_numbers(0.0, at_most=len(observation) * table.tick, seconds=seconds)
-    then = round(seconds / table.tick)
-    number = round_begins(observation, table).cumsum(0)
-    now = torch.arange(len(observation) - then)
-    now = now[number[now] == number[now + then]]
-    return now, now + then
+    return _with_empirical_std(predict_mean, observation, action, table)
 
 
-def _baseline(guess: Callable[[Tensor, float], Tensor], seen: Tensor, action: Tensor, table: TableSpec) -> Predictor:
-    """A guess, with one STD for each time ahead: its root mean square error on the play given."""
-    spread: dict[float, Tensor] = {}
+def ticks_ahead(observation: Tensor, seconds: float, table: TableSpec) -> tuple[Tensor, Tensor]:
+    """Ticks (k,) of play (ticks, 12), and the ticks (k,) `seconds` later, where these are in the same round."""
+    shift = round(seconds / table.tick)
+    round_number = round_starts(observation, table).cumsum(0)
+    now = torch.arange(len(observation) - shift)
+    now = now[round_number[now] == round_number[now + shift]]
+    return now, now + shift
 
-    def predict(observation: Tensor, seconds: float) -> tuple[Tensor, Tensor]:
-        if seconds not in spread:
-            now, then = ahead(seen, seconds, table)
-            error = action[then] - guess(seen[now], seconds)
-            spread[seconds] = error.square().mean(0).sqrt().clamp(min=1e-4)
-        mean = guess(observation, seconds)
-        return mean, spread[seconds].expand_as(mean)
+
+def _with_empirical_std(
+    predict_mean: Callable[[Tensor, float], Tensor], observation: Tensor, action: Tensor, table: TableSpec
+) -> Predictor:
+    """A predictor whose STD is, at each horizon, its root mean square error on the given play."""
+    stds: dict[float, Tensor] = {}
+
+    def predict(states: Tensor, seconds: float) -> tuple[Tensor, Tensor]:
+        if seconds not in stds:
+            now, then = ticks_ahead(observation, seconds, table)
+            error = action[then] - predict_mean(observation[now], seconds)
+            stds[seconds] = error.square().mean(0).sqrt().clamp(min=1e-4)
+        mean = predict_mean(states, seconds)
+        return mean, stds[seconds].expand_as(mean)
 
     return predict
 
 
-def by_model(model: Callable[[Tensor], tuple[Tensor, Tensor]], ahead: float = 0.0) -> Predictor:
-    """A model of the action `ahead` s after a state, asked about a looked-ahead state as a guidance asks it (Eq. 4)."""
-    check_numbers(0.0, ahead=ahead)
+def model_predictor(model: Callable[[Tensor], tuple[Tensor, Tensor]], ahead: float = 0.0) -> Predictor:
+    """Predict with a model of the action `ahead` s after a state, applied to the looked-ahead state as in Eq. 4."""
     return lambda observation, seconds: model(lookahead_state(observation, max(seconds - ahead, 0.0)))
 
 
@@ -90,77 +85,82 @@ def adapted_model(meta: nn.Module, adapted: TensorDict) -> Callable[[Tensor], tu
 
 
 def predictors(
-    user: nn.Module, meta: nn.Module, lr: float, seen: Tensor, action: Tensor, table: TableSpec, ahead: float = 0.0
+    user: nn.Module,
+    meta: nn.Module,
+    lr: float,
+    observation: Tensor,
+    action: Tensor,
+    table: TableSpec,
+    ahead: float = 0.0,
 ) -> dict[str, Predictor]:
-    """Everybody who predicts one person, knowing one game of theirs (ticks, 12), (ticks, 2).
+    """All predictors of one person, given one game of theirs: two baselines, and the models before and after UA.
 
-    The models are asked for the action `ahead` s after a state.
+    Args:
+        user: the model without meta-learning.
+        meta: the meta-learned model.
+        lr: its inner learning rate.
+        observation, action: the game.
+        ahead: s, the horizon of both models.
     """
-    check_tensors(CPU, seen=(seen, "ticks 12"), action=(action, "ticks 2"))
-    check_numbers(0.0, ahead=ahead)
-    then = action_ahead(seen, action, ahead, table)
-    adapted = adapt_to_user(meta, parameters(meta), seen[None], then[None], lr)[0]
+    target = action_ahead(observation, action, ahead, table)
+    adapted = adapt_to_user(meta, parameters(meta), observation[None], target[None], lr)[0]
     return {
-        "persistence": persistence(seen, action, table),
-        "extrapolation": extrapolation(seen, action, table),
-        "supervised": by_model(user, ahead),
-        "before_ua": by_model(meta, ahead),
-        "after_ua": by_model(adapted_model(meta, adapted), ahead),
+        "persistence": persistence(observation, action, table),
+        "extrapolation": extrapolation(observation, action, table),
+        "supervised": model_predictor(user, ahead),
+        "before_ua": model_predictor(meta, ahead),
+        "after_ua": model_predictor(adapted_model(meta, adapted), ahead),
     }
 
 
-def judge(
+def prediction_metrics(
     predictor: Predictor, observation: Tensor, action: Tensor, seconds: float, table: TableSpec
 ) -> dict[str, float]:
-    """How one person's play (ticks, 12), (ticks, 2) is predicted `seconds` ahead.
+    """Metrics of the prediction of play `seconds` ahead.
 
     Returns:
         rmse; nll, nats of a two-dimensional Gaussian; loss, Eq. 3; within_1 and within_2, shares of the actions within
-        so many STDs.
+        one and two STDs.
     """
-    check_tensors(CPU, observation=(observation, "ticks 12"), action=(action, "ticks 2"))
-    now, then = ahead(observation, seconds, table)
+    now, then = ticks_ahead(observation, seconds, table)
     mean, std = predictor(observation[now], seconds)
     error = action[then] - mean
     squared, variance = error.square().sum(-1), std.square().sum(-1)
     distance = (error / std).square().sum(-1)
-    found = {
+    metrics = {
         "rmse": squared.mean().sqrt(),
         "nll": (distance / 2 + std.log().sum(-1)).mean() + math.log(2 * math.pi),
         "loss": (squared / (2 * variance) + variance.log() / 2).mean(),
         **{f"within_{sigma}": (distance <= sigma**2).float().mean() for sigma in SIGMAS},
     }
-    return {name: value.item() for name, value in found.items()}
+    return {name: value.item() for name, value in metrics.items()}
 
 
 def reliability(predictor: Predictor, observation: Tensor, action: Tensor, bins: int = 10) -> tuple[Tensor, Tensor]:
-    """Said and seen (bins,): norms of the predicted STD, and of the errors there, each a root mean square.
+    """Norm of the predicted STD and of the errors (bins,) each, as root mean squares.
 
-    Bins hold as many ticks each, from the surest to the least sure.
+    Bins hold equally many ticks, from the smallest predicted STD to the largest.
     """
-    check_tensors(CPU, observation=(observation, "ticks 12"), action=(action, "ticks 2"))
-    check_counts(bins=bins)
     mean, std = predictor(observation, 0.0)
-    said, seen = std.square().sum(-1), (action - mean).square().sum(-1)
-    order = said.argsort()
-    parts = [(said[part].mean().sqrt(), seen[part].mean().sqrt()) for part in order.tensor_split(bins)]
-    return torch.stack([said for said, _ in parts]), torch.stack([seen for _, seen in parts])
+    variance, squared_error = std.square().sum(-1), (action - mean).square().sum(-1)
+    bin_ticks = variance.argsort().tensor_split(bins)
+    predicted, observed = (
+        torch.stack([values[ticks].mean().sqrt() for ticks in bin_ticks]) for values in (variance, squared_error)
+    )
+    return predicted, observed
 
 
-def interval(values: np.ndarray, confidence: float = 0.95) -> tuple[float, float, float]:
-    """Mean over people, and Student's interval of it."""
-    values = np.asarray(values)
-    check_arrays(values=(values, "n"))
-    check_numbers(above=0.0, at_most=1.0, confidence=confidence)
+def mean_interval(values: np.ndarray, confidence: float = 0.95) -> tuple[float, float, float]:
+    """Mean of values (n,), and the ends of Student's confidence interval of it; NaN for n = 1."""
     mean, n = float(values.mean()), len(values)
     half = stats.t.ppf(0.5 + confidence / 2, n - 1) * values.std(ddof=1) / math.sqrt(n) if n > 1 else math.nan
     return mean, mean - half, mean + half
 
 
 def with_intervals(per_person: Mapping[str, np.ndarray]) -> dict[str, dict[str, float | None]]:
-    """Mean, low and high of each entry; None where they are not finite, as JSON knows no other word for it."""
-    found = {}
+    """Mean, low and high of each entry over people; None where not finite, as JSON has no NaN."""
+    intervals = {}
     for name, values in per_person.items():
-        numbers = zip(("mean", "low", "high"), interval(values), strict=True)
-        found[name] = {key: number if math.isfinite(number) else None for key, number in numbers}
-    return found
+        numbers = zip(("mean", "low", "high"), mean_interval(values), strict=True)
+        intervals[name] = {key: number if math.isfinite(number) else None for key, number in numbers}
+    return intervals

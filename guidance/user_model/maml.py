@@ -42,17 +42,17 @@ DataLoss = Callable[[TensorDict, Any], Tensor]
 def parameters(model: nn.Module) -> TensorDict:
     """The parameters of ``model``, nested like its modules.
 
-    They are the very tensors, not copies: gradients arrive where an optimizer of ``model.parameters()`` looks. Unlike
-    ``TensorDict.from_module`` it leaves buffers out (a gradient step must not move a constant) and names a parameter
-    shared by two modules once (else the copies would drift apart).
+    They are the model's own tensors, not copies, so an optimizer of ``model.parameters()`` sees their gradients. Unlike
+    ``TensorDict.from_module`` it leaves out buffers (a gradient step must not change a constant) and names a parameter
+    that two modules share only once (copies would diverge).
     """
     return TensorDict(dict(model.named_parameters())).unflatten_keys(".")
 
 
 def forward(model: nn.Module, params: TensorDict, *inputs: Tensor) -> Any:
-    """``model(*inputs)`` under ``params``; parameters that ``params`` does not name keep the model's own values.
+    """``model(*inputs)`` under ``params``; parameters missing from ``params`` keep the model's values.
 
-    Not ``with params.to_module(model)``: that leaves its parameters in the model when the call raises.
+    Not ``with params.to_module(model)``, which leaves its parameters in the model when the call raises.
 
     Args:
         model: any module; not changed.
@@ -66,7 +66,7 @@ def forward(model: nn.Module, params: TensorDict, *inputs: Tensor) -> Any:
 
 
 def forward_stacked(model: nn.Module, params: TensorDict, *inputs: Tensor) -> Any:
-    """Every user's own model on his or her own inputs, in one batched call.
+    """Every user's model on that user's inputs, in one batched call.
 
     Args:
         model: any module; not changed.
@@ -93,15 +93,15 @@ def forward_stacked(model: nn.Module, params: TensorDict, *inputs: Tensor) -> An
 def adapt(params: TensorDict, loss: Loss, lr: float, steps: int = 1, first_order: bool = False) -> TensorDict:
     """Gradient descent on ``loss``: Eq. 1, theta_adapt = theta - alpha grad L(theta, D_demo).
 
-    Differentiable with respect to ``params`` and to whatever ``loss`` has captured; call it under ``torch.no_grad()``
-    where that graph is not wanted.
+    Differentiable with respect to ``params`` and to tensors that ``loss`` captures; call it under ``torch.no_grad()``
+    to build no graph.
 
     Args:
         params: theta, from :func:`parameters` or from an earlier adaptation; not changed.
         loss: L(., D_demo).
         lr: alpha > 0, the inner learning rate.
         steps: gradient steps >= 1, one in the paper.
-        first_order: take the inner gradient for a constant, which saves the second derivatives (FOMAML).
+        first_order: treat the inner gradient as a constant, which saves the second derivatives (FOMAML).
 
     Returns:
         theta_adapt, shaped like ``params``.
@@ -197,18 +197,18 @@ class MAML:
         self.params = parameters(model)
 
     def clone(self) -> "MAML":
-        """A learner that starts from these parameters; its adaptation leaves this one alone."""
-        return copy.copy(self)  # adapt replaces params and never writes into them, so both may hold the same tensors
+        """A learner that starts from these parameters; its adaptation does not change this one."""
+        return copy.copy(self)  # a shallow copy suffices: adapt replaces params and never writes into them
 
     def adapt(self, loss: Tensor) -> None:
-        """One gradient step, Eq. 1, down a scalar that was computed with this learner.
+        """One gradient step (Eq. 1) on a scalar loss computed with this learner.
 
         Raises:
             ValueError: ``loss`` is not a scalar with a gradient.
         """
         if not isinstance(loss, Tensor) or loss.ndim or not loss.requires_grad:
-            seen = f"shape {tuple(loss.shape)}" if isinstance(loss, Tensor) else type(loss).__name__
-            raise ValueError(f"loss: {seen}, must be a scalar that requires grad")
+            got = f"shape {tuple(loss.shape)}" if isinstance(loss, Tensor) else type(loss).__name__
+            raise ValueError(f"loss: {got}, must be a scalar that requires grad")
         names = list(self.params.keys(include_nested=True, leaves_only=True))
         leaves = [self.params[name] for name in names]
         if loss.device != leaves[0].device:
@@ -218,7 +218,7 @@ class MAML:
         self.params = _descend(self.params, gradient, self.lr, self.first_order)
 
     def __call__(self, *inputs: Tensor) -> Any:
-        """The model under the parameters of this learner."""
+        """The model with the parameters of this learner."""
         return forward(self.model, self.params, *inputs)
 
 

@@ -1,8 +1,8 @@
 """Training the user prediction model: its loss (Eq. 3), with and without meta-learning, and user adaptation (UA).
 
 The model is any module that maps a game state (..., 12) to the mean (..., 2) and the standard deviation (..., 2) of the
-user's next action. Both trainers change it in place and are generators: one epoch a step, nothing before the first
-``next``, and what each epoch measured in a dict, for a progress bar or a log::
+user's next action. Both trainers change it in place. They are generators: each ``next`` trains one epoch and yields its
+metrics as a dict, for a progress bar or a log::
 
     for metrics in train_maml(model, demonstrations, generator=generator):
         log(metrics)
@@ -24,8 +24,6 @@ from guidance.user_model.data import Demonstrations, Samples
 from guidance.user_model.loss import prediction_loss
 from guidance.user_model.maml import adapt_stacked, forward, meta_loss, parameters
 
-"""Observations (..., n, 12) and the actions (..., n, 2) taken on them."""
-
 
 def train_supervised(
     model: nn.Module,
@@ -37,7 +35,7 @@ def train_supervised(
     optimizer: torch.optim.Adam | None = None,
     done: int = 0,
 ) -> Iterator[dict[str, float]]:
-    """Trains one model for all users, without UA: Adam on Eq. 3.
+    """Train one model for all users, without UA: Adam on Eq. 3.
 
     Args:
         model: state (..., 12) to mean and STD; changed in place.
@@ -46,10 +44,10 @@ def train_supervised(
         batch_size: ticks of an update, drawn from all users and games.
         lr: learning rate of Adam.
         generator: source of the shuffling; the global one if None.
-        optimizer, done: to go on with a training after so many epochs, with its own Adam.
+        optimizer, done: Adam and the number of completed epochs of a training that is resumed.
 
     Yields:
-        After each epoch ``epoch`` (from 1) and ``loss``, the mean over its ticks, measured while the model changed.
+        After each epoch ``epoch`` (from 1) and ``loss``, the mean over its ticks, measured during the epoch.
 
     Raises:
         ValueError: ``epochs``, ``batch_size`` or ``lr`` is out of range.
@@ -85,7 +83,7 @@ def train_maml(
     optimizer: torch.optim.Adam | None = None,
     done: int = 0,
 ) -> Iterator[dict[str, float]]:
-    """Trains the parameters from which one gradient step adapts to a user: Adam on Eq. 2.
+    """Train the parameters from which one gradient step adapts to a user: Adam on Eq. 2.
 
     A meta-step takes two blocks of every user. The paper does not define an epoch; here it is the meta-steps that use
     every block once: 360K ticks / (9 users x 2 x 1K) = 20.
@@ -100,19 +98,19 @@ def train_maml(
         steps: inner gradient steps.
         first_order: leave the second derivatives out.
         max_norm: the norm, over all parameters, to which the gradient of Eq. 2 is clipped. The paper mentions no
-            clipping, hence inf. But once the STD is small, 1 / ||sigma||^2 makes an inner step of 0.1 steep and the
-            meta-gradient now and then a hundred times its median, which throws training back; try 10.
-        compiled: let torch.compile fuse the meta-step, which takes a C++ compiler and, once, some 15 s; the results
+            clipping, hence inf. Once the STD is small, 1 / ||sigma||^2 makes an inner step of 0.1 steep and the
+            meta-gradient sometimes a hundred times its median, which sets training back; try 10.
+        compiled: fuse the meta-step with torch.compile, which needs a C++ compiler and some 15 s once; the results
             differ in the last bits.
         generator: source of the pairing; the global one if None.
-        optimizer, done: to go on with a training after so many epochs, with its own Adam.
+        optimizer, done: Adam and the number of completed epochs of a training that is resumed.
 
     Yields:
         After each epoch ``epoch`` (from 1), ``loss``, the mean over users and meta-steps of L(theta_adapt, D_valid),
-        and ``loss_before``, the same without adaptation, L(theta, D_valid); both measured while the model changed.
+        and ``loss_before``, the same without adaptation, L(theta, D_valid); both measured during the epoch.
 
     Raises:
-        ValueError: a number is out of range, or the data have fewer than two games a user.
+        ValueError: a number is out of range, or the data have fewer than two games per user.
         FloatingPointError: the loss or its gradient is no longer finite.
     """
     _require_schedule(epochs, done, lr)
@@ -127,7 +125,7 @@ def train_maml(
         return meta_loss(theta, objective, demo, valid, inner_lr, steps, first_order)
 
     if compiled:
-        torch.compiler.reset()  # else a sweep over sizes in one process would end up uncompiled
+        torch.compiler.reset()  # or a sweep over sizes in one process exceeds the recompilation limit
     fused = torch.compile(grad_and_value(eq2)) if compiled else None
     for epoch in range(done + 1, epochs + 1):
         after, before = [], []
@@ -162,11 +160,11 @@ def adapt_to_user(
         steps: gradient steps, likewise; one in the paper.
 
     Returns:
-        Each user's parameters, batch size (users,), without a graph; for :func:`guidance.user_model.maml.forward_stacked`, or
+        Each user's parameters, batch size (users,), without a graph; for :func:`maml.forward_stacked`, or
         ``adapted[i]`` for one user.
 
     Raises:
-        ValueError: a shape is wrong, or ``lr`` or ``steps`` is out of range.
+        ValueError: a shape is wrong, or ``lr`` or ``steps`` out of range.
     """
     check_tensors(observation=(observation, "users ticks 12"), action=(action, "users ticks 2"))
     return adapt_stacked(params, partial(_data_loss, model), (observation, action), lr, steps)
@@ -181,7 +179,7 @@ def _data_loss(model: nn.Module, params: TensorDict, data: Samples) -> Tensor:
 
 def _step(optimizer: torch.optim.Optimizer, loss: Tensor, epoch: int, max_norm: float = math.inf) -> None:
     norm = nn.utils.clip_grad_norm_(optimizer.param_groups[0]["params"], max_norm)
-    if not (loss.isfinite() and norm.isfinite()):  # before the step: the model is left as it last was
+    if not (loss.isfinite() and norm.isfinite()):  # before the step, which keeps the last finite model
         raise FloatingPointError(f"loss: {loss.item()}, gradient {norm.item()} in epoch {epoch}, must be finite")
     optimizer.step()
 

@@ -11,7 +11,7 @@ from torch import Tensor
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.plotting import BLUE, GRAY, GREEN, ORANGE, label_axes, new_figure, save_png
 from guidance.simulated_users.validation.motor_tasks import Reaches
-from guidance.simulated_users.validation.playstyles import STEEP, blows
+from guidance.simulated_users.validation.playstyles import STEEP, shot_velocities
 
 SOFT = 0.8  # m/s of the puck after a touch; below, the touch was meant to stop it
 SHOTS = ("soft", "straight", "over the left wall", "over the right wall")
@@ -73,7 +73,7 @@ def draw_places(play: Mapping[str, Tensor], table: TableSpec, path: Path) -> Non
 
 def shot_shares(observation: Tensor, table: TableSpec) -> np.ndarray:
     """Shares (4,) of paddle touches by kind of shot, `SHOTS`, from observations (n, ticks, 12)."""
-    velocity = np.concatenate([blows(one, table) for one in observation.numpy().astype(np.float64)])
+    velocity = np.concatenate([shot_velocities(one, table) for one in observation.numpy().astype(np.float64)])
     soft = np.linalg.norm(velocity, axis=-1) < SOFT
     left, right = velocity[:, 1] > STEEP * velocity[:, 0], velocity[:, 1] < -STEEP * velocity[:, 0]
     counts = [soft.sum(), (~soft & ~left & ~right).sum(), (~soft & left).sum(), (~soft & right).sum()]
@@ -91,6 +91,6 @@ def draw_shots(play: Mapping[str, Tensor], table: TableSpec, path: Path) -> None
         axes.barh(names, share, left=left, color=color, label=kind)
         left += share
     axes.invert_yaxis()
-    label_axes(axes, "How the puck leaves the paddle", "share of blows")
+    label_axes(axes, "How the puck leaves the paddle", "share of shots")
     axes.legend(frameon=False, fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.45, -0.2))
     save_png(figure, path)

@@ -1,12 +1,12 @@
-"""What the signals behind the rating proxies are worth under four forces that are fixed before any condition runs.
+"""Anchors of the rating proxies: four forces, fixed before any condition runs, that give the signals their units.
 
     oracle: a spring toward the person's own, private goal
-    replayed: the oracle's force on somebody else in another game: alike in size and course, and about nothing here
-    random: as strong at every moment as the oracle's, in a direction that changes every 0.3 s
+    replayed: the oracle's force on another person in another game, so of the same size and time course
+    random: of the size of the oracle's, in a direction that changes every 0.3 s
     anti: the oracle's force reversed
 
-They look into the person, which no guidance may; they are the measuring rod, not a condition. In this order they get
-worse: a proxy that does not say so is withdrawn (`ordered`).
+They use the private goal, which no guidance may. They are ordered from the best to the worst: a proxy that does not
+reproduce this order is withdrawn (`known_order`).
 """
 
 from collections.abc import Callable, Mapping
@@ -15,19 +15,19 @@ import numpy as np
 
 from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
 from airhockey_marl.envs.world import World
-from airhockey_marl.experiment.validation import check_arrays, check_counts, check_numbers
-from guidance.simulated_users.advisors import NO_ADVISORS, Advisors
+from airhockey_marl.experiment.validation import check_numbers
+from guidance.simulated_users.advisors import Advisors
 from guidance.simulated_users.population import personal_streams
 from guidance.simulated_users.ratings import RATINGS, SIGNALS
 from guidance.simulated_users.users import SimulatedUsers
 
 ANCHORS = ("oracle", "replayed", "random", "anti")  # from the best to the worst
 ANCHOR_STIFFNESS = 50.0  # N/m
-ANCHOR_STRONGEST = 3.0  # N
-RANDOM_HELD = 0.3  # s
+ANCHOR_MAX_FORCE = 3.0  # N
+RANDOM_HOLD_TIME = 0.3  # s
 
-# Which anchor gives each signal its unit.
-SCALED_BY = {
+# The anchor that gives each signal its unit.
+UNIT_ANCHORS = {
     "conflict": "anti",
     "unsupported": "anti",
     "supportive_power": "oracle",
@@ -40,10 +40,10 @@ SCALED_BY = {
 
 
 def oracle_force(users: SimulatedUsers) -> np.ndarray:
-    """(n, 2) N toward each one's own goal."""
+    """(n, 2) N toward each person's own goal."""
     force = ANCHOR_STIFFNESS * (users.goal - users.hand)
     size = np.hypot(force[:, 0], force[:, 1])
-    return force * (np.minimum(size, ANCHOR_STRONGEST) / np.maximum(size, 1e-12))[:, None]
+    return force * (np.minimum(size, ANCHOR_MAX_FORCE) / np.maximum(size, 1e-12))[:, None]
 
 
 def play_anchor(
@@ -56,90 +56,86 @@ def play_anchor(
     variant: str = "comply_or_resist",
     advisors: Advisors | None = None,
 ) -> SimulatedUsers:
-    """One game of `seconds` of everyone (left seat) under one anchor force against `opponent` (right seat).
+    """Play one game of `seconds` per person (left) against `opponent` (right) under an anchor force.
 
     Args:
-        people: (n,) of dtype `PERSON`; two at least for "replayed".
+        people: (n,) of `USER_PARAMETERS`; two at least for "replayed".
         opponent: (n, 12) float64 egocentric states -> (n, 2) actions.
         anchor: one of `ANCHORS`, or "none".
 
     Returns:
-        The people after the game; their `signals` and `ratings` are what is wanted.
+        The people after the game, with their `signals` and `ratings`.
 
     Raises:
-        ValueError: an unknown anchor, or no time to play.
+        ValueError: the anchor is unknown, or `seconds` not above 0.
     """
     if anchor not in (*ANCHORS, "none"):
         raise ValueError(f"anchor = {anchor!r} must be one of {', '.join(ANCHORS)}, none")
     check_numbers(above=0.0, seconds=seconds)
-    check_counts(0, seed=seed)
     table = table or TableSpec()
     rng, n = np.random.default_rng([seed, (*ANCHORS, "none").index(anchor)]), len(people)
-    held, angle = max(1, round(RANDOM_HELD / table.tick)), np.zeros(n)
-    course: list[np.ndarray] = []
+    hold, angle = max(1, round(RANDOM_HOLD_TIME / table.tick)), np.zeros(n)
+    replay: list[np.ndarray] = []
 
-    def push(users: SimulatedUsers, tick: int) -> np.ndarray:
+    def anchor_force(users: SimulatedUsers, tick: int) -> np.ndarray:
         nonlocal angle
-        if tick % held == 0:
+        if tick % hold == 0:
             angle = rng.uniform(-np.pi, np.pi, n)
         if anchor == "none":
             return np.zeros((n, 2))
         if anchor == "replayed":
-            return course[tick]
+            return replay[tick]
         force = oracle_force(users)
         if anchor == "random":
             return np.hypot(force[:, :1], force[:, 1:]) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return force if anchor == "oracle" else -force
 
-    def remember(users: SimulatedUsers, tick: int) -> np.ndarray:
+    def recorded_force(users: SimulatedUsers, tick: int) -> np.ndarray:
         force = oracle_force(users)
-        course.append(np.roll(force, 1, axis=0))  # the neighbor's
+        replay.append(np.roll(force, 1, axis=0))  # for the next person
         return force
 
-    ticks, how = round(seconds / table.tick), (table, variant, advisors or NO_ADVISORS)
+    def users_of_game(seed: int) -> SimulatedUsers:
+        return SimulatedUsers(people, personal_streams(n, seed), table, variant, advisors)
+
+    ticks = round(seconds / table.tick)
     if anchor == "replayed":
-        play_pushed(people, opponent, remember, ticks, seed + 1, *how)
-    return play_pushed(people, opponent, push, ticks, seed, *how)
+        play_with_force(users_of_game(seed + 1), opponent, recorded_force, ticks, seed + 1)
+    return play_with_force(users_of_game(seed), opponent, anchor_force, ticks, seed)
 
 
-def play_pushed(
-    people: np.ndarray,
+def play_with_force(
+    users: SimulatedUsers,
     opponent: Callable[[np.ndarray], np.ndarray],
-    push: Callable[[SimulatedUsers, int], np.ndarray],
+    force_of: Callable[[SimulatedUsers, int], np.ndarray],
     ticks: int,
     seed: int,
-    table: TableSpec,
-    variant: str,
-    advisors: Advisors,
 ) -> SimulatedUsers:
-    """Let everyone play while `push`, told who they are and the number of the tick, says the forces (n, 2) in N."""
-    check_counts(0, ticks=ticks, seed=seed)
-    n = len(people)
-    tables = World(n, table)
+    """Play `ticks` under the forces (n, 2) N that `force_of` computes from the users and the number of the tick."""
+    n = users.n
+    tables = World(n, users.table)
     tables.seed(seed)
     tables.new_rounds()
-    users = SimulatedUsers(people, personal_streams(n, seed), table, variant, advisors)
     left, right, actions = np.zeros((n, 12)), np.zeros((n, 12)), np.zeros((n, 2, 2))
     for tick in range(ticks):
-        force = push(users, tick)
+        force = force_of(users, tick)
         actions[:, LEFT] = users.step(tables.observe(LEFT, left), force)
         actions[:, RIGHT] = opponent(tables.observe(RIGHT, right))
         tables.step(actions)
-        over = tables.goals != 0
-        if over.any():
-            tables.new_rounds(over)
-            users.new_round(over)
+        scored = tables.goals != 0
+        if scored.any():
+            tables.new_rounds(scored)
+            users.new_round(scored)
     return users
 
 
-def ordered(appraised: Mapping[str, np.ndarray]) -> dict[str, bool]:
+def known_order(z_scores: Mapping[str, np.ndarray]) -> dict[str, bool]:
     """Whether each rating falls, on average over people, from `oracle` over `replayed` and `random` to `anti`.
 
     Args:
-        appraised: per anchor the z-scores (n, 4) of `rating.appraisals`.
+        z_scores: per anchor those of `ratings.rating_z_scores` (n, 4).
     """
-    check_arrays(**{f"appraised.{anchor}": (appraised.get(anchor), f"n {len(RATINGS)}") for anchor in ANCHORS})
-    means = np.stack([appraised[anchor].mean(axis=0) for anchor in ANCHORS])
+    means = np.stack([z_scores[anchor].mean(axis=0) for anchor in ANCHORS])
     return dict(zip(RATINGS, (np.diff(means, axis=0) <= 0).all(axis=0).tolist(), strict=True))
 
 
@@ -151,17 +147,17 @@ def anchor_scales(
     seed: int = 0,
     advisors: Advisors | None = None,
 ) -> dict[str, float]:
-    """The unit of each signal: its mean over people (variant comply_or_resist) under its anchor, as in `SCALED_BY`.
+    """The unit of each signal: its mean over people (variant comply_or_resist) under its anchor, see `UNIT_ANCHORS`.
 
     Returns:
-        Per name of `rating.SIGNALS` a plain float, in that signal's unit.
+        Per name of `ratings.SIGNALS` a plain float, in that signal's unit.
 
     Raises:
-        ValueError: an anchor gives a signal no positive value, so it cannot be a unit; play longer.
+        ValueError: a signal is not positive under its anchor, so cannot be a unit; play longer.
     """
-    played = {name: play_anchor(people, opponent, name, table, seconds, seed, advisors=advisors) for name in ANCHORS}
-    means = {name: users.signals.mean(axis=0) for name, users in played.items()}
-    scales = {signal: float(means[SCALED_BY[signal]][column]) for column, signal in enumerate(SIGNALS)}
+    games = {name: play_anchor(people, opponent, name, table, seconds, seed, advisors=advisors) for name in ANCHORS}
+    means = {name: users.signals.mean(axis=0) for name, users in games.items()}
+    scales = {signal: float(means[UNIT_ANCHORS[signal]][column]) for column, signal in enumerate(SIGNALS)}
     for signal, value in scales.items():
         if not value > 0:
             raise ValueError(f"anchor scale of {signal} = {value} must be above 0")

@@ -1,4 +1,4 @@
-"""The people in the tasks by which real hands have been measured: within human ranges, and for the right reasons."""
+"""Simulated people in motor tasks: within human ranges, and for the right reasons."""
 
 import numpy as np
 import pytest
@@ -8,15 +8,15 @@ from guidance.simulated_users import Population, sample_people
 from guidance.simulated_users.intention import Intention
 from guidance.simulated_users.population import LogNormal
 from guidance.simulated_users.validation.motor_tasks import (
-    APPEARS,
-    marks_at,
+    TARGET_TICK,
+    jumping_targets,
     mechanics,
-    observe,
     onset,
     push_response,
     reaches,
     reaction_times,
-    resting_marks,
+    resting_targets,
+    run_trials,
 )
 
 
@@ -55,17 +55,17 @@ def test_without_noise_every_reach_to_a_place_is_the_same(people):
     steady = people[:3].copy()
     for name in ("noise_along", "noise_across", "tremor", "timing_noise", "delay_noise"):
         steady[name] = 0.0
-    marks = marks_at(np.full((3, 5, 1, 2), 0.03), np.full((3, 5, 1), APPEARS), 100)
-    hand = observe(steady, Intention.REACH, marks).hand
+    targets = jumping_targets(np.full((3, 5, 1, 2), 0.03), np.full((3, 5, 1), TARGET_TICK), 100)
+    hand = run_trials(steady, Intention.REACH, targets).hand
     assert np.ptp(hand[:, :, -1], axis=1) == pytest.approx(0.0, abs=2e-3)
     assert hand[:, :, -1] == pytest.approx(0.03, abs=2e-3)
-    assert np.ptp(observe(people[:3], Intention.REACH, marks).hand[:, :, 40], axis=1).max() > 1e-4
+    assert np.ptp(run_trials(people[:3], Intention.REACH, targets).hand[:, :, 40], axis=1).max() > 1e-4
 
 
 def test_a_hand_that_is_not_pushed_holds_still(people):
-    record = observe(people, Intention.REACH, resting_marks((len(people), 2), 250))
-    assert np.abs(record.hand[:, :, 150:]).max() < 2e-3
-    assert record.speed[:, :, 150:].max() < 0.02
+    recording = run_trials(people, Intention.REACH, resting_targets((len(people), 2), 250))
+    assert np.abs(recording.hand[:, :, 150:]).max() < 2e-3
+    assert recording.speed[:, :, 150:].max() < 0.02
 
 
 def test_resisting_gives_way_less_than_a_passive_arm(people):

@@ -11,7 +11,13 @@ from airhockey_marl.players.inference import greedy_player
 from guidance.commands.validate_users import by_skill
 from guidance.simulated_users import Population, load_advisors, sample_people
 from guidance.simulated_users.population import LogNormal
-from guidance.simulated_users.validation.playstyles import FEATURES, blows, features, recognized, told_apart
+from guidance.simulated_users.validation.playstyles import (
+    FEATURES,
+    classify_styles,
+    features,
+    identification_rate,
+    shot_velocities,
+)
 from guidance.study.demonstrations import collect_demonstrations
 
 TABLE = TableSpec()
@@ -37,23 +43,23 @@ def games(population: Population, seed: int, opponent, advisors) -> tuple[np.nda
     return people["archetype"], [features(data.observation[:, game], TABLE) for game in (0, 1)]
 
 
-def test_people_are_told_apart_and_recognized(opponent, advisors):
+def test_games_identify_playstyle_and_person(opponent, advisors):
     population = Population.default()
     style, (known, _) = games(population, 4000, opponent, advisors)
     others, (one, another) = games(population, 4500, opponent, advisors)
-    assert np.mean(told_apart(known, style, one) == others) > 0.4  # chance is 1 of 6
-    assert recognized(one, another) > 0.15  # chance is 1 of 60
+    assert np.mean(classify_styles(known, style, one) == others) > 0.4  # chance is 1 of 6
+    assert identification_rate(one, another) > 0.15  # chance is 1 of 60
 
 
-def test_people_without_any_spread_are_not(opponent, advisors):
+def test_games_of_identical_people_identify_neither(opponent, advisors):
     default = Population.default()
     same = {k: value._replace(log_sd=0.0) for k, value in default.parameters().items() if isinstance(value, LogNormal)}
     alike = {name: [0.5] * 6 for name in default.style.archetypes}
     population = Population.default(**same, archetypes=alike, trait_concentration=np.inf, skill_sd=0.0)
     style, (known, _) = games(population, 4000, opponent, advisors)
     others, (one, another) = games(population, 4500, opponent, advisors)
-    assert np.mean(told_apart(known, style, one) == others) < 0.4
-    assert recognized(one, another) < 0.1
+    assert np.mean(classify_styles(known, style, one) == others) < 0.4
+    assert identification_rate(one, another) < 0.1
 
 
 def test_more_skill_wins_more_and_stops_more(opponent, advisors):
@@ -63,18 +69,18 @@ def test_more_skill_wins_more_and_stops_more(opponent, advisors):
     assert won[0] - 0.02 < won[1] < won[2] + 0.02
 
 
-def test_a_blow_is_counted_once_and_only_if_it_goes_forward():
+def test_a_shot_is_counted_once_and_only_if_it_goes_forward():
     seen = np.zeros((6, 12))
     seen[:, 0], seen[:, 8] = -0.5, -0.42
     seen[3:, 10] = 2.0  # struck forward
-    assert blows(seen, TABLE).tolist() == [[2.0, 0.0]]
+    assert shot_velocities(seen, TABLE).tolist() == [[2.0, 0.0]]
     seen[3:, 10] = -2.0
-    assert len(blows(seen, TABLE)) == 0
+    assert len(shot_velocities(seen, TABLE)) == 0
     seen[3:, 10], seen[:, 8] = 2.0, 0.4  # far from the paddle: somebody else's
-    assert len(blows(seen, TABLE)) == 0
+    assert len(shot_velocities(seen, TABLE)) == 0
 
 
-def test_features_say_what_they_are_called():
+def test_features_of_made_up_play():
     ticks = 1000
     seen = torch.zeros(2, ticks, 12)
     wave = torch.linspace(0, 60, ticks).sin()
@@ -83,6 +89,6 @@ def test_features_say_what_they_are_called():
     seen[1, :, 1] = 0.1 * wave
     found = dict(zip(FEATURES, features(seen, TABLE).T, strict=True))
     assert found["depth"] == pytest.approx([-0.8, -0.2])
-    assert found["follows"] == pytest.approx([0.0, 1.0])
-    assert found["presses"] == pytest.approx([0.0, 1.0])
-    assert found["blows_per_minute"] == pytest.approx([0.0, 0.0])
+    assert found["lateral_tracking"] == pytest.approx([0.0, 1.0])
+    assert found["pressing"] == pytest.approx([0.0, 1.0])
+    assert found["shots_per_minute"] == pytest.approx([0.0, 0.0])

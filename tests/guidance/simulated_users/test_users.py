@@ -27,7 +27,7 @@ from guidance.simulated_users.population import PARAMETER_TYPES, TRAITS, LogNorm
 from guidance.simulated_users.ratings import RATINGS, SIGNALS, rating_z_scores
 from guidance.simulated_users.state import USER_STATE
 from guidance.simulated_users.strokes import to_hand, to_table
-from guidance.simulated_users.validation.rating_anchors import ANCHORS, anchor_scales, ordered, play_anchor
+from guidance.simulated_users.validation.rating_anchors import ANCHORS, anchor_scales, known_order, play_anchor
 from tests import ROOT
 
 TABLE = TableSpec()
@@ -363,7 +363,7 @@ def test_the_known_order(anchored):
         name: rating_z_scores(users.signals / np.array([SCALES[s] for s in SIGNALS]))
         for name, users in anchored.items()
     }
-    found = ordered(z)
+    found = known_order(z)
     assert all(found[name] for name in RATINGS if name not in CONF["withdrawn"])
     means = {name: dict(zip(RATINGS, value.mean(axis=0), strict=True)) for name, value in z.items()}
     assert means["oracle"]["helpfulness"] > max(means[name]["helpfulness"] for name in ("replayed", "random", "anti"))
@@ -372,9 +372,9 @@ def test_the_known_order(anchored):
 
 def test_an_order_is_an_order():
     falling = {name: np.full((3, 4), -float(place)) for place, name in enumerate(ANCHORS)}
-    assert ordered(falling) == dict.fromkeys(RATINGS, True)
+    assert known_order(falling) == dict.fromkeys(RATINGS, True)
     falling["random"][:, 1] = 9.0
-    assert ordered(falling) == {**dict.fromkeys(RATINGS, True), RATINGS[1]: False}
+    assert known_order(falling) == {**dict.fromkeys(RATINGS, True), RATINGS[1]: False}
 
 
 def test_ratings_are_likert_points_and_stay_the_same_when_asked_again(anchored):

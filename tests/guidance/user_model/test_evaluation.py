@@ -1,4 +1,4 @@
-"""Predictors of a person: what they say of play made up so that the right answer is known."""
+"""Predictors of a person, on made-up play with a known answer."""
 
 import json
 import math
@@ -18,12 +18,12 @@ from guidance.user_model.data import Demonstrations
 from guidance.user_model.evaluation import (
     SIGMAS,
     adapted_model,
-    ahead,
-    by_model,
+    ticks_ahead,
+    model_predictor,
     extrapolation,
-    interval,
-    judge,
-    paddle,
+    mean_interval,
+    prediction_metrics,
+    paddle_as_action,
     persistence,
     predictors,
     reliability,
@@ -51,39 +51,39 @@ def gliding(ticks: int = 400, lead: float = 0.06) -> tuple[torch.Tensor, torch.T
 
 def test_the_paddle_is_in_units_of_action():
     observation, action = gliding(lead=0.0)
-    place, velocity = paddle(observation, TABLE)
+    place, velocity = paddle_as_action(observation, TABLE)
     assert torch.allclose(place, action, atol=1e-5)
     assert torch.allclose((place[2:] - place[:-2]) / (2 * TABLE.tick), velocity[1:-1], atol=2e-2)
 
 
-def test_extrapolation_finds_the_lead_and_persistence_does_not():
+def test_extrapolation_fits_the_lead_and_persistence_does_not():
     observation, action = gliding()
     moved, stays = (make(observation, action, TABLE) for make in (extrapolation, persistence))
     for seconds, most in ((0.0, 0.01), (0.1, 0.05)):
-        found = [judge(predictor, observation, action, seconds, TABLE) for predictor in (moved, stays)]
+        found = [prediction_metrics(predictor, observation, action, seconds, TABLE) for predictor in (moved, stays)]
         assert found[0]["rmse"] < most < found[1]["rmse"]
         assert found[0]["nll"] < found[1]["nll"]
-    assert judge(stays, observation, action, 0.0, TABLE)["rmse"] == pytest.approx(0.06 * 0.905, rel=0.05)
+    assert prediction_metrics(stays, observation, action, 0.0, TABLE)["rmse"] == pytest.approx(0.06 * 0.905, rel=0.05)
 
 
-def test_ahead_stays_within_a_round():
+def test_ticks_ahead_stay_within_a_round():
     observation, _ = gliding(100)
     observation[40] = 0.0
     observation[40, 0], observation[40, 4] = -TABLE.length / 4, TABLE.length / 4  # a round begins
-    now, then = ahead(observation, 0.1, TABLE)
+    now, then = ticks_ahead(observation, 0.1, TABLE)
     assert torch.equal(then, now + 5)
     assert set(range(95)) - set(now.tolist()) == {35, 36, 37, 38, 39}
-    assert len(ahead(observation, 0.0, TABLE)[0]) == 100
+    assert len(ticks_ahead(observation, 0.0, TABLE)[0]) == 100
 
 
-def test_a_gaussian_is_covered_as_a_gaussian_is():
+def test_coverage_of_a_gaussian():
     torch.manual_seed(0)
     std = 0.05 + 0.1 * torch.rand(60_000, 2)
     observation, mean = torch.zeros(60_000, 12), 0.1 * torch.randn(60_000, 2)
     observation[:, 8] = 0.3
     action = mean + std * torch.randn_like(std)
     lookup = iter([(mean, std)] * 3)
-    found = judge(lambda seen, seconds: next(lookup), observation, action, 0.0, TABLE)
+    found = prediction_metrics(lambda seen, seconds: next(lookup), observation, action, 0.0, TABLE)
     for sigma, share in SIGMAS.items():
         assert found[f"within_{sigma}"] == pytest.approx(share, abs=0.006)
     reference = -torch.distributions.Normal(mean, std).log_prob(action).sum(-1).mean().item()
@@ -94,29 +94,31 @@ def test_a_gaussian_is_covered_as_a_gaussian_is():
     assert torch.allclose(overconfident, said / 2, rtol=1e-5)
 
 
-def test_a_model_is_asked_about_the_state_ahead():
+def test_a_model_predicts_from_the_lookahead_state():
     observation, _ = gliding()
     place, velocity = observation[:, 0:2], observation[:, 2:4]
-    mean, _ = by_model(lambda seen: (seen[..., 0:2], seen[..., 0:2]))(observation, 0.2)
+    mean, _ = model_predictor(lambda seen: (seen[..., 0:2], seen[..., 0:2]))(observation, 0.2)
     assert torch.allclose(mean, place + 0.2 * velocity)
 
 
-def test_adapted_is_the_model_adapted_to_that_game():
+def test_adaptation_lowers_the_loss_on_its_game():
     torch.manual_seed(0)
     meta, (observation, action) = Gaussian(), gliding(200)
     everybody = predictors(Gaussian(), meta, ALPHA, observation, action, TABLE)
-    before, after = (judge(everybody[name], observation, action, 0.0, TABLE) for name in ("before_ua", "after_ua"))
+    before, after = (
+        prediction_metrics(everybody[name], observation, action, 0.0, TABLE) for name in ("before_ua", "after_ua")
+    )
     assert after["loss"] < before["loss"]
     same = adapted_model(meta, parameters(meta))(observation)
     assert torch.equal(same[0], meta(observation)[0])
 
 
-def test_the_interval_is_students():
+def test_the_mean_interval_is_students():
     values = np.array([1.0, 2.0, 3.0, 4.0])
-    mean, low, high = interval(values)
+    mean, low, high = mean_interval(values)
     assert (mean, high - mean) == pytest.approx((2.5, 3.182446 * values.std(ddof=1) / 2), rel=1e-5)
     assert low == pytest.approx(2 * mean - high)
-    assert math.isnan(interval(np.array([1.0]))[1])
+    assert math.isnan(mean_interval(np.array([1.0]))[1])
 
 
 def test_a_model_of_ones_own_is_found_better():
@@ -139,7 +141,7 @@ def test_models_of_the_action_ahead_are_judged_by_the_action_ahead():
             self.shift = nn.Parameter(torch.zeros(2))
 
         def forward(self, seen: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-            place, velocity = paddle(seen, TABLE)
+            place, velocity = paddle_as_action(seen, TABLE)
             turned = math.cos(2 * lead) * place + math.sin(2 * lead) / 2 * velocity  # exact, on an ellipse
             return turned + self.shift, torch.full_like(place, 0.01)
 

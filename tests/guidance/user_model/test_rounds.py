@@ -1,16 +1,16 @@
-"""What a record of play says by way of its rounds."""
+"""Rounds in recorded play."""
 
 import torch
 
 from airhockey_marl.envs.physics import TableSpec
 from guidance.simulated_users.arm import HAND_REACH
-from guidance.user_model.rounds import action_ahead, hand_speed, round_begins
+from guidance.user_model.rounds import action_ahead, hand_speed, round_starts
 
 TABLE = TableSpec()
 
 
 def play(ticks: int, *begins: int) -> tuple[torch.Tensor, torch.Tensor]:
-    """Play in which rounds begin at some ticks, and the action says its own tick."""
+    """Play in which rounds start at the given ticks, and the action is the number of its tick."""
     observation = torch.full((ticks, 12), 0.1)
     for tick in begins:
         observation[tick] = 0.0
@@ -21,7 +21,7 @@ def play(ticks: int, *begins: int) -> tuple[torch.Tensor, torch.Tensor]:
 
 def test_rounds_are_found():
     observation, _ = play(30, 0, 10, 25)
-    assert round_begins(observation, TABLE).nonzero().flatten().tolist() == [0, 10, 25]
+    assert round_starts(observation, TABLE).nonzero().flatten().tolist() == [0, 10, 25]
 
 
 def test_the_action_ahead_is_of_the_same_round():

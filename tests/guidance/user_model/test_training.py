@@ -47,7 +47,7 @@ def model():
 
 
 def synthetic_users(seed, users=USERS):
-    """People who follow the puck (the last four of the state), each with a gain and an offset of his or her own."""
+    """Users who follow the puck (the last four of the state), each with an own gain and offset."""
     generator = torch.Generator().manual_seed(seed)
     observation = torch.randn(users, GAMES, TICKS, 12, generator=generator)
     gain = 0.2 + 0.6 * torch.rand(users, 1, 1, 1, generator=generator)
@@ -107,7 +107,7 @@ def test_prediction_loss_pulls_the_mean_to_the_action():
 
 
 def labeled(users, games, ticks):
-    """Observations that say whose they are: user, game and tick in the first three places."""
+    """Observations with the numbers of user, game and tick as their first three values."""
     observation = torch.zeros(users, games, ticks, 12)
     for place, size in enumerate((users, games, ticks)):
         shape = [1, 1, 1]
@@ -124,8 +124,8 @@ def test_pairs_come_from_two_games_of_the_same_user(users, games, per_game, bloc
         for observation, action in (demo, valid):
             assert observation.shape == (users, block, 12) and action.shape == (users, block, 2)
             assert torch.equal(action, observation[..., 1:3])
-            who, game, tick = observation[..., :3].unbind(-1)  # each (users, block)
-            assert torch.equal(who, torch.arange(users).float()[:, None].expand(users, block))
+            user, game, tick = observation[..., :3].unbind(-1)  # each (users, block)
+            assert torch.equal(user, torch.arange(users).float()[:, None].expand(users, block))
             assert (game == game[:, :1]).all() and (tick == tick[:, :1] + torch.arange(block)).all()
             blocks += [(i, int(game[i, 0]), int(tick[i, 0])) for i in range(users)]
         assert (demo[0][:, 0, 1] != valid[0][:, 0, 1]).all()
@@ -198,7 +198,7 @@ def cross_losses(model, data):
     return table[:, :users], table[:, users:]
 
 
-def test_adaptation_after_maml_is_to_the_user_and_nobody_else(model):
+def test_adaptation_after_maml_is_specific_to_the_user(model):
     history = list(train_maml(model, synthetic_users(seed=1, users=9), 60, BLOCK, ALPHA, lr=3e-3, generator=seeded()))
     assert history[-1]["loss"] < history[0]["loss"] - 0.3
     assert history[-1]["loss"] < history[-1]["loss_before"] - 0.3
@@ -334,13 +334,10 @@ def bad(observation=(2, 2, 5, 12), action=(2, 2, 5, 2), dtype=torch.float32, val
         ("action", lambda: bad(dtype=torch.int64)),
         ("action", lambda: bad(dtype=torch.float64)),
         ("action", lambda: bad(value=math.nan)),
-        ("size", lambda: next(bad().batches(0))),
         ("games", lambda: next(bad(observation=(2, 1, 5, 12), action=(2, 1, 5, 2)).pairs(5))),
         ("block", lambda: next(bad().pairs(6))),
         ("block", lambda: next(bad().pairs(0))),
-        ("action", lambda: prediction_loss(torch.ones(3), torch.ones(3), torch.ones(3))),
         ("std", lambda: prediction_loss(torch.ones(5, 2), torch.ones(1, 2), torch.ones(5, 2))),
-        ("action", lambda: prediction_loss(torch.ones(2), torch.ones(2), torch.ones(2, dtype=torch.int64))),
         ("epochs", lambda: next(train_supervised(Gaussian(), bad(), epochs=0))),
         ("epochs", lambda: next(train_maml(Gaussian(), bad(), epochs=0))),
         ("max_norm", lambda: next(train_maml(Gaussian(), bad(), max_norm=0.0))),
