@@ -1,4 +1,4 @@
-"""Advisors: inside the compiled tick they say what the league's generation says, and skill picks the generation."""
+"""Advisors: their compiled networks equal the league's generations, and skill selects the generation."""
 
 import numpy as np
 import pytest
@@ -23,7 +23,7 @@ def league(hidden: tuple[int, ...], inputs: str, generations: int = 5) -> League
 
 
 @pytest.mark.parametrize(("hidden", "inputs"), [((64, 64), "paddle"), ((7,), "table"), ((5, 6, 4), "paddle")])
-def test_an_advisor_says_what_its_generation_says(hidden, inputs):
+def test_an_advisor_acts_as_its_generation(hidden, inputs):
     pool = league(hidden, inputs)
     advisors, rng = stack_advisors(pool), np.random.default_rng(0)
     for skill, generation in ((-9.0, 0), (-0.6, 1), (0.0, 2), (0.7, 3), (9.0, 4)):
@@ -44,7 +44,7 @@ def play(advisors, ticks: int = 600, **changes) -> np.ndarray:
     return np.array(actions)
 
 
-def test_advice_changes_what_people_choose_and_no_advice_does_not():
+def test_advisors_change_choices_only_with_weight():
     advisors = stack_advisors(league((16,), "paddle"))
     alone = play(NO_ADVISORS)
     assert np.array_equal(alone, play(advisors, advisor_weight=0.0))
@@ -52,8 +52,8 @@ def test_advice_changes_what_people_choose_and_no_advice_does_not():
     assert np.array_equal(play(advisors), play(advisors))
 
 
-def test_advice_pulls_choices_its_way():
-    """An advisor who is always at the front, in the middle, has people press rather than wait."""
+def test_choices_move_toward_the_advisor():
+    """With an advisor who always stays at the front, people press rather than wait."""
     pool = League(GaussianPolicy((4,)))
     policy = GaussianPolicy((4,))
     with torch.no_grad():
@@ -69,10 +69,10 @@ def test_advice_pulls_choices_its_way():
     assert ahead[1] > ahead[0] + 0.2
 
 
-def test_nobody_is_nobody():
+def test_no_file_means_no_advisors():
     assert load_advisors(None) is NO_ADVISORS
 
 
-def test_a_file_that_is_none_is_refused(tmp_path):
+def test_a_missing_file_is_named(tmp_path):
     with pytest.raises(ValueError, match=r"no such file: .*nobody\.safetensors"):
         load_advisors(tmp_path / "nobody.safetensors")

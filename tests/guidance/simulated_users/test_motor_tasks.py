@@ -34,7 +34,7 @@ def test_the_default_population_is_within_the_human_ranges(people):
     assert set(table["within"]) == {"yes"}
 
 
-def test_a_reaction_takes_as_long_as_its_parts(people):
+def test_a_reaction_time_is_the_sum_of_its_delays(people):
     slow = people.copy()
     slow["visual_delay"] += 0.06
     slow["response_delay"] += 0.04
@@ -42,8 +42,8 @@ def test_a_reaction_takes_as_long_as_its_parts(people):
     assert later.mean() == pytest.approx(0.10, abs=0.015)
 
 
-def test_stiffness_is_found_where_it_was_put(people):
-    """A third of the stiffness shows as less of it; what replanning adds is there in both."""
+def test_identified_stiffness_follows_the_parameter(people):
+    """A third of the stiffness is identified as less; replanning adds to both."""
     soft = people.copy()
     soft["stiffness"] /= 3
     hard, yielding = (mechanics(group, trials=2, variant="passive")[:, 2] for group in (people, soft))
@@ -51,7 +51,7 @@ def test_stiffness_is_found_where_it_was_put(people):
     assert hard.mean() - yielding.mean() > 40
 
 
-def test_without_noise_every_reach_to_a_place_is_the_same(people):
+def test_without_noise_reaches_repeat(people):
     steady = people[:3].copy()
     for name in ("noise_along", "noise_across", "tremor", "timing_noise", "delay_noise"):
         steady[name] = 0.0
@@ -62,13 +62,13 @@ def test_without_noise_every_reach_to_a_place_is_the_same(people):
     assert np.ptp(run_trials(people[:3], Intention.REACH, targets).hand[:, :, 40], axis=1).max() > 1e-4
 
 
-def test_a_hand_that_is_not_pushed_holds_still(people):
+def test_a_hand_without_a_push_holds_still(people):
     recording = run_trials(people, Intention.REACH, resting_targets((len(people), 2), 250))
     assert np.abs(recording.hand[:, :, 150:]).max() < 2e-3
     assert recording.speed[:, :, 150:].max() < 0.02
 
 
-def test_resisting_gives_way_less_than_a_passive_arm(people):
+def test_resistance_reduces_the_displacement_by_a_push(people):
     seconds, passive = push_response(people, "passive")
     _, resisting = push_response(people, "comply_or_resist")
     early, late = (seconds > 0) & (seconds <= 0.1), (seconds > 0.6) & (seconds <= 1.0)
@@ -77,8 +77,8 @@ def test_resisting_gives_way_less_than_a_passive_arm(people):
     assert passive[:, seconds <= 0].max() == pytest.approx(0.0, abs=5e-3)  # it stood on the mark
 
 
-def test_the_hand_is_felt_late(people):
-    """With the sense of the hand delayed, a push is answered by new plans later, not by the arm's own stiffness."""
+def test_proprioception_delays_the_replanning_after_a_push(people):
+    """The proprioceptive delay postpones new plans, not the arm's own stiffness."""
     people = people.copy()
     people["tremor"] = 0.0
     quick = people.copy()
@@ -90,7 +90,7 @@ def test_the_hand_is_felt_late(people):
     assert later[:, (seconds > 0.1) & (seconds < 0.2)].mean() > 5e-4  # corrected later
 
 
-def test_onset_is_found_between_ticks():
+def test_onset_is_interpolated_between_ticks():
     speed = np.array([[0.0, 0.0, 0.01, 0.03, 0.2], [0.0, 0.0, 0.0, 0.0, 0.0]])
     found = onset(speed, np.array([1, 1]))
     assert found[0] == pytest.approx(0.02 * (2 + 0.5))  # half way through the tick that ends at .03, the third
@@ -104,7 +104,7 @@ def test_reaches_that_miss_have_no_movement_time(people):
     assert (data.movement_time(0.02) <= data.movement_time(0.006) + 1e-9).all()
 
 
-def test_people_without_differences_react_alike():
+def test_identical_people_react_alike():
     parameters = Population.default().parameters()
     same = {name: value._replace(log_sd=0.0) for name, value in parameters.items() if isinstance(value, LogNormal)}
     clones = sample_people(8, 5, Population.default(**same, skill_sd=0.0, delay_noise=0.0))

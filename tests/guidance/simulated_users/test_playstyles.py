@@ -1,4 +1,4 @@
-"""People differ, and are themselves: playstyle and person can be told from a game, but not where there is no spread."""
+"""Playstyle and person can be identified from a game, but not for people without spread."""
 
 import numpy as np
 import pytest

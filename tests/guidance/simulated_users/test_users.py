@@ -87,7 +87,7 @@ def test_two_runs_are_the_same_and_another_seed_is_not():
     assert not np.array_equal(first, other)
 
 
-def test_a_person_does_not_depend_on_who_else_is_there():
+def test_a_person_does_not_depend_on_the_batch():
     people, streams = sample_people(5, 8), personal_streams(5, 8)
     rng = np.random.default_rng(0)
     everyone, alone = (
@@ -108,7 +108,7 @@ def test_people_are_blind_to_all_but_state_and_force():
             view[0] = 0
 
 
-def test_what_happens_now_moves_the_hand_only_after_the_delay_of_sight():
+def test_the_hand_reacts_only_after_the_visual_delay():
     n, change = 40, 60
     people, streams = sample_people(n, 1), personal_streams(n, 1)
     same, other = SimulatedUsers(people, streams), SimulatedUsers(people, streams)
@@ -149,7 +149,7 @@ def test_the_arm_follows_a_reach_with_one_peak_of_speed():
     assert peaks.sum() == 1
 
 
-def test_a_force_pushes_the_hand_its_way_and_about_as_far_as_stiffness_says():
+def test_displacement_by_a_force_is_about_force_over_stiffness():
     n = 30
     people, streams = sample_people(n, 4), personal_streams(n, 4)
     passive, free = SimulatedUsers(people, streams, TABLE, "passive"), SimulatedUsers(people, streams, TABLE, "passive")
@@ -167,7 +167,7 @@ def test_a_force_pushes_the_hand_its_way_and_about_as_far_as_stiffness_says():
 
 
 @pytest.mark.parametrize("variant", ["passive", "comply_or_resist", "goal_sharing"])
-def test_a_spring_to_a_place_does_not_shake_the_hand(variant):
+def test_a_spring_does_not_shake_the_hand(variant):
     n = 60
     people, streams = sample_people(n, 5), personal_streams(n, 5)
     held, free = SimulatedUsers(people, streams, TABLE, variant), SimulatedUsers(people, streams, TABLE, variant)
@@ -207,7 +207,7 @@ def test_two_people_play_air_hockey():
     assert np.percentile(record["speed"], 50) > 0.02
 
 
-def test_skill_wins():
+def test_more_skill_wins():
     wins = np.zeros(2)
     good = sample_people(24, 1, Population.default(skill_mean=1.5, skill_sd=0.1))
     poor = sample_people(24, 2, Population.default(skill_mean=-1.5, skill_sd=0.1))
@@ -228,7 +228,7 @@ def test_skill_wins():
     assert wins[0] > 1.3 * wins[1]
 
 
-def test_a_new_round_puts_the_hand_back_and_keeps_the_ratings():
+def test_a_new_round_centers_the_hand_and_keeps_the_ratings():
     n = 4
     users = SimulatedUsers(sample_people(n, 7), personal_streams(n, 7), TABLE, "goal_sharing")
     for _ in range(150):
@@ -243,7 +243,7 @@ def test_a_new_round_puts_the_hand_back_and_keeps_the_ratings():
     assert np.all(users.signals[which] == 0) and np.all(users.signals[~which] == signals[~which])
 
 
-def test_a_bounce_is_foreseen_as_the_table_does_it():
+def test_an_anticipated_bounce_follows_the_physics():
     person, state, path = sample_people(1, 0)[0], np.zeros(1, USER_STATE)[0], np.empty((LOOK_AHEAD, 4))
     person["speed_noise"] = person["heading_noise"] = 0.0
     state["anticipates_bounces"] = 1
@@ -277,14 +277,14 @@ def test_a_shot_off_the_wall_ends_in_the_goal(wall):
     assert tables.bodies[0, 2, 1] == pytest.approx(aim, abs=0.03)
 
 
-def test_hand_and_table_are_two_names_of_one_place():
+def test_hand_and_table_coordinates_are_inverse():
     assert to_hand(-TABLE.length / 4, 0.0, TABLE) == (0.0, 0.0)
     corner = to_hand(-TABLE.paddle_radius, TABLE.width / 2 - TABLE.paddle_radius, TABLE)
     assert corner == pytest.approx((HAND_REACH, HAND_REACH))
     assert to_table(*to_hand(-0.2, 0.3, TABLE), TABLE) == pytest.approx((-0.2, 0.3))
 
 
-def test_the_hardest_acceleration_of_a_reach_is_at_its_ends():
+def test_the_peak_acceleration_of_a_reach_is_at_its_ends():
     assert peak_acceleration(0.1, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3) == pytest.approx(6 * 0.1 / 0.3**2)
 
 
@@ -302,7 +302,7 @@ def test_normals_are_normal():
     assert np.mean(draws**4) == pytest.approx(3.0, abs=0.15)
 
 
-def test_the_population_is_the_one_specified():
+def test_the_population_has_the_specified_distributions():
     people, population = sample_people(2000, 11), Population.default()
     degrees = ("heading_noise", "bounce_noise")
     for name, distribution in population.parameters().items():
@@ -324,7 +324,7 @@ def test_the_population_is_the_one_specified():
         assert abs(np.corrcoef(people[name], people["skill"])[0, 1]) < 0.07
 
 
-def test_nine_training_people_whom_no_study_meets():
+def test_nine_training_people_are_in_no_study():
     trainers, studied = training_people(0), sample_people(200, 0)
     assert len(trainers) == 9
     assert list(trainers["archetype"][:6]) == list(range(6))
@@ -358,7 +358,7 @@ def _copies():
 
 
 def test_the_known_order(anchored):
-    """Oracle, replayed, random, anti: the proxies that are used must say so; see `withdrawn` in conf/users."""
+    """All proxies but the withdrawn ones must fall from oracle over replayed and random to anti."""
     z = {
         name: rating_z_scores(users.signals / np.array([SCALES[s] for s in SIGNALS]))
         for name, users in anchored.items()
@@ -370,14 +370,14 @@ def test_the_known_order(anchored):
     assert means["none"]["helpfulness"] == -0.5 and means["none"]["comfort"] == 0.5
 
 
-def test_an_order_is_an_order():
+def test_known_order_checks_each_rating():
     falling = {name: np.full((3, 4), -float(place)) for place, name in enumerate(ANCHORS)}
     assert known_order(falling) == dict.fromkeys(RATINGS, True)
     falling["random"][:, 1] = 9.0
     assert known_order(falling) == {**dict.fromkeys(RATINGS, True), RATINGS[1]: False}
 
 
-def test_ratings_are_likert_points_and_stay_the_same_when_asked_again(anchored):
+def test_ratings_are_likert_points_and_repeatable(anchored):
     users = anchored["random"]
     ratings = users.ratings(SCALES)
     assert tuple(ratings) == RATINGS

@@ -21,7 +21,7 @@ def test_every_slice_of_every_range_is_used_once():
     assert not factors.equals(latin_hypercube(["a", "b", "c"], 40, 1.5, seed=1))
 
 
-def test_no_change_leaves_people_as_they_are():
+def test_factors_of_one_change_nobody():
     usual = Population.default()
     same = scale_assumptions(usual, dict.fromkeys(PARAMETERS, 1.0))
     assert np.array_equal(sample_people(20, 3, usual), sample_people(20, 3, same))
@@ -36,7 +36,7 @@ def test_each_assumption_changes_people_and_stays_valid():
             assert not np.array_equal(before, people), name
 
 
-def test_laws_keep_their_shape_and_shares_their_limit():
+def test_scaled_distributions_keep_their_shape_and_proportions_their_limit():
     usual = Population.default()
     law = scale_assumptions(usual, {"dwell": 1.4}).intention.dwell
     assert law == pytest.approx((1.4 * 0.21, 0.2, 1.4 * 0.15, 1.4 * 0.30, -0.3))
