@@ -27,7 +27,7 @@ class SimulatedParticipant:
 
     def __init__(self, people: np.ndarray, place: int, seed: int, cfg: DictConfig) -> None:
         self._person, self._place, self._seed, self._cfg = people[place : place + 1], place, seed, cfg
-        self._advisors = load_advisors(cfg.mentors)
+        self._advisors = load_advisors(cfg.advisors)
         self.users = self._in_game(CALIBRATION_GAME)
 
     def _in_game(self, game: int) -> SimulatedUsers:

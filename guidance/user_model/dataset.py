@@ -43,7 +43,7 @@ COLUMNS = {  # name: (type, unit, meaning)
 
 
 def people_table(people: np.ndarray, archetypes: list[str]) -> pd.DataFrame:
-    """A row per person of `people` (users,): parameters in SI units, array elements one by one (utility_weights_0_1)."""
+    """A row per person of `people` (users,): parameters in SI units, an array one column per element."""
     columns = {"user": np.arange(len(people))}
     for name in people.dtype.names or ():
         for place in np.ndindex(people[name].shape[1:]):

@@ -6,7 +6,7 @@ import numpy as np
 
 from guidance.haptics.devices import Pair
 from guidance.simulated_users import Population, sample_people
-from guidance.simulated_users.arm import ARM_STATE, HAND_REACH, STEADY, move_arm, rest
+from guidance.simulated_users.arm import ARM_STATE, HAND_REACH, NO_NOISE, move_arm, reset_arm
 
 MAX_SPEED = 1.5  # m/s; hands in play are not faster, and a paddle could not follow them
 STEP = 0.001  # s, integration step of the arm
@@ -14,10 +14,10 @@ ARM_PARAMETERS = ("muscle_lag", "arm_mass", "stiffness")  # those that vary betw
 
 
 def median_person() -> np.void:
-    """A person (dtype `PERSON`) whose arm has the population's median parameters."""
-    population = Population.usual()
-    medians = {name: getattr(population, name)._replace(log_sd=0.0) for name in ARM_PARAMETERS}
-    return sample_people(1, 0, Population.usual(**medians))[0]
+    """A person (dtype `USER_PARAMETERS`) whose arm has the population's median parameters."""
+    population = Population.default()
+    medians = {name: getattr(population.arm, name)._replace(log_sd=0.0) for name in ARM_PARAMETERS}
+    return sample_people(1, 0, population.with_parameters(**medians))[0]
 
 
 def clip_reach(value: float) -> float:
@@ -32,7 +32,7 @@ class PointerHand:
     in the end, where K is the arm's stiffness. It stops at the reach of 0.075 m on either axis.
 
     Args:
-        person: whose arm it is, a record of dtype `PERSON`; None for the median arm.
+        person: whose arm it is, a record of dtype `USER_PARAMETERS`; None for the median arm.
         max_speed: m/s at which the hand follows; a pointer can jump, a hand cannot.
 
     Raises:
@@ -45,7 +45,7 @@ class PointerHand:
         self.max_speed, self._person = max_speed, median_person() if person is None else person
         self._stiffness = float(self._person["stiffness"])
         self._arm = np.zeros(1, ARM_STATE)[0]
-        rest(self._arm, self._person)
+        reset_arm(self._arm, self._person)
         self._pointer = self._base = self._position = self._velocity = self._force = (0.0, 0.0)
 
     @property
@@ -81,7 +81,7 @@ class PointerHand:
         """Simulate the passing of time: the hand follows the pointer and yields to the force."""
         steps = max(ceil(seconds / STEP - 1e-6), 1)
         for _ in range(steps):
-            move_arm(self._arm, self._person, STEADY, self._stiffness, 0.0, 0.0, *self._force, seconds / steps)
+            move_arm(self._arm, self._person, NO_NOISE, self._stiffness, 0.0, 0.0, *self._force, seconds / steps)
         (x, y), (to_x, to_y) = self._base, self._pointer
         distance, max_distance = hypot(to_x - x, to_y - y), self.max_speed * seconds
         if distance > max_distance:

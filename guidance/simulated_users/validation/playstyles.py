@@ -60,7 +60,7 @@ def features(observation: Tensor, table: TableSpec) -> np.ndarray:
 
 
 def classify_styles(known: np.ndarray, styles: np.ndarray, unseen: np.ndarray) -> np.ndarray:
-    """Styles (m,) of the games `unseen` (m, features) by a linear discriminant, fitted to `known` games of `styles` (n,)."""
+    """Styles (m,) of the `unseen` games (m, features) by a linear discriminant fitted to `known` games of `styles`."""
     return make_pipeline(StandardScaler(), LinearDiscriminantAnalysis()).fit(known, styles).predict(unseen)
 
 

@@ -18,15 +18,15 @@ from guidance.user_model.data import Demonstrations
 from guidance.user_model.evaluation import (
     SIGMAS,
     adapted_model,
-    ticks_ahead,
-    model_predictor,
     extrapolation,
     mean_interval,
-    prediction_metrics,
+    model_predictor,
     paddle_as_action,
     persistence,
+    prediction_metrics,
     predictors,
     reliability,
+    ticks_ahead,
 )
 from guidance.user_model.maml import parameters
 from tests.guidance.user_model.test_training import ALPHA, Gaussian
