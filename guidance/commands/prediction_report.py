@@ -116,7 +116,7 @@ def known(models: Models, seen: Tensor, action: Tensor, table: TableSpec) -> dic
 
 @torch.no_grad()
 def errors_ahead(models: Models, data: Demonstrations, ahead: list[float], table: TableSpec) -> list[dict]:
-    """A row per predictor and time ahead: each of `prediction_metrics`, and the gain over extrapolation, with intervals."""
+    """A row per predictor and time ahead: `prediction_metrics` and the gain over extrapolation, with intervals."""
     found: dict[tuple[str, float], list[dict[str, float]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
         everybody = known(models, observation[0], action[0], table)

@@ -18,19 +18,8 @@ SHORTEST_PLAN = 0.04  # s, of a cubic; two ticks
 # An arm; these fields are pairs, x and y. `ref` is the plan as executed, with motor noise. `estimate` is the person's
 # estimate of the hand's position, `correction` the sum of the corrections of its forward model so far.
 _PAIRS = (
-    "hand",
-    "hand_v",
-    "muscle",
-    "ref",
-    "start_v",
-    "initial_acceleration",
-    "c2",
-    "c3",
-    "end_v",
-    "correction",
-    "correction_v",
-    "estimate",
-    "estimate_v",
+    *("hand", "hand_v", "muscle", "ref", "start_v", "initial_acceleration", "c2", "c3", "end_v"),
+    *("correction", "correction_v", "estimate", "estimate_v"),
 )
 ARM_STATE = np.dtype(
     [(name + axis, np.float64) for name in _PAIRS for axis in ("_x", "_y")]

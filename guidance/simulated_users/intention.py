@@ -13,7 +13,7 @@ from numba import njit
 
 from airhockey_marl.envs.world import random_unit
 from guidance.simulated_users.perception import OTHER, PUCK
-from guidance.simulated_users.population import UTILITY_ROWS
+from guidance.simulated_users.population import UtilityRow
 from guidance.simulated_users.strokes import (
     BANK_LEFT,
     BANK_RIGHT,
@@ -32,21 +32,6 @@ from guidance.simulated_users.strokes import (
 INTENTIONS = 9  # that people choose from
 NO_INSTRUCTION = -1
 IMPOSSIBLE = -1e9  # utility
-
-# Rows of `utility_weights` in `USER_PARAMETERS`.
-(
-    AWAY_WAIT,
-    AWAY_SHADOW,
-    AWAY_PRESS,
-    BEHIND_RECOVER,
-    BEHIND_BLOCK,
-    NEAR_CONTROL,
-    NEAR_CONTROL_AT_REST,
-    NEAR_SMASH,
-    NEAR_BANK,
-    NEAR_BLOCK,
-    NEAR_SHADOW,
-) = range(len(UTILITY_ROWS))
 
 
 class Intention(IntEnum):
@@ -129,13 +114,13 @@ def compute_utilities(person, state, arm, percept, path, situation, table, utili
     """Write the utility of each intention in this situation into `utilities` (INTENTIONS,)."""
     utilities[:] = IMPOSSIBLE
     if situation == Situation.AWAY:
-        utilities[Intention.WAIT] = utility(person, AWAY_WAIT, 0.0)
-        utilities[Intention.SHADOW] = utility(person, AWAY_SHADOW, 0.0)
-        utilities[Intention.PRESS] = utility(person, AWAY_PRESS, 0.0)
+        utilities[Intention.WAIT] = utility(person, UtilityRow.away_wait, 0.0)
+        utilities[Intention.SHADOW] = utility(person, UtilityRow.away_shadow, 0.0)
+        utilities[Intention.PRESS] = utility(person, UtilityRow.away_press, 0.0)
     elif situation == Situation.BEHIND:
-        utilities[Intention.RECOVER] = utility(person, BEHIND_RECOVER, 0.0)
+        utilities[Intention.RECOVER] = utility(person, UtilityRow.behind_recover, 0.0)
         if state.goal_threatened:
-            utilities[Intention.BLOCK] = utility(person, BEHIND_BLOCK, 0.0)
+            utilities[Intention.BLOCK] = utility(person, UtilityRow.behind_block, 0.0)
     else:
         opponent_y = percept[OTHER + 1]
         openness = min(abs(target_y(person, state, percept, table) - opponent_y) / table.goal, 1.0)
@@ -146,14 +131,14 @@ def compute_utilities(person, state, arm, percept, path, situation, table, utili
             if np.isinf(contact):
                 continue
             if intention == Intention.CONTROL:
-                row = NEAR_CONTROL if moving else NEAR_CONTROL_AT_REST
+                row = UtilityRow.near_control if moving else UtilityRow.near_control_at_rest
             else:
-                row = NEAR_SMASH if intention == Intention.SMASH else NEAR_BANK
+                row = UtilityRow.near_smash if intention == Intention.SMASH else UtilityRow.near_bank
             utilities[intention] = utility(person, row, openness)
         if state.goal_threatened:
-            utilities[Intention.BLOCK] = utility(person, NEAR_BLOCK, openness)
+            utilities[Intention.BLOCK] = utility(person, UtilityRow.near_block, openness)
         else:
-            utilities[Intention.SHADOW] = utility(person, NEAR_SHADOW, openness)
+            utilities[Intention.SHADOW] = utility(person, UtilityRow.near_shadow, openness)
     if utilities[state.intention] > IMPOSSIBLE:
         utilities[state.intention] += person.persistence_bonus
 

@@ -10,7 +10,7 @@ from airhockey_marl.experiment.validation import check_counts, check_numbers
 from guidance.simulated_users import Population
 from guidance.simulated_users.population import PARAMETER_TYPES, LogNormal, Proportion, ScaledBeta
 
-UTILITY = "utility_weights."  # followed by one of `UTILITY_ROWS`
+UTILITY = "utility_weights."  # followed by one of `UtilityRow`
 
 
 def latin_hypercube(parameters: Sequence[str], points: int, largest: float, seed: int) -> pd.DataFrame:

@@ -20,6 +20,11 @@ class LogNormal(NamedTuple):
     high: float
     on_skill: float
 
+    def is_valid(self) -> bool:
+        """Whether the numbers are as `ALLOWED` says."""
+        in_order = 0 < self.low <= self.median <= self.high < inf
+        return in_order and 0 <= self.log_sd < inf and abs(self.on_skill) <= 1
+
     def quantile(self, skill: float, residual: float) -> float:
         """The parameter of a person of this skill; `residual` ~ N(0, 1) is the part that skill does not explain."""
         z = self.on_skill * skill + sqrt(1 - self.on_skill**2) * residual
@@ -32,6 +37,17 @@ class ScaledBeta(NamedTuple):
     scale: float
     alpha: float
     beta: float
+
+    def is_valid(self) -> bool:
+        """Whether the numbers are as `ALLOWED` says."""
+        return 0 <= self.scale <= 1 and self.alpha > 0 and self.beta > 0
+
+
+ALLOWED = {
+    LogNormal: "[median, log-sd, low, high, on skill] with 0 < low <= median <= high, log-sd >= 0 and on skill in "
+    "-1..1",
+    ScaledBeta: "[scale in 0..1, alpha > 0, beta > 0]",
+}
 
 
 def is_number(value: object) -> bool:
@@ -48,10 +64,11 @@ def parse_parameter(kind: type, name: str, value: object) -> object:
     Raises:
         ValueError: the value does not fit; names the key, the value and what is allowed.
     """
-    if kind is LogNormal:
-        return _log_normal(name, value)
-    if kind is ScaledBeta:
-        return _scaled_beta(name, value)
+    if kind in (LogNormal, ScaledBeta):
+        numbers = isinstance(value, list | tuple) and len(value) == len(kind._fields) and all(map(is_number, value))
+        if numbers and kind(*value).is_valid():
+            return kind(*value)
+        raise ValueError(f"{name} = {value} must be {ALLOWED[kind]}")
     for scalar, fits, allowed in (
         (Positive, is_number(value) and value > 0, "above 0"),
         (Proportion, is_number(value) and 0 <= value <= 1, "in 0..1"),
@@ -61,30 +78,3 @@ def parse_parameter(kind: type, name: str, value: object) -> object:
         if kind is scalar and not fits:
             raise ValueError(f"{name} = {value} must be a number {allowed}".rstrip())
     return value
-
-
-def _are_numbers(value: object, count: int) -> bool:
-    return isinstance(value, list | tuple) and len(value) == count and all(map(is_number, value))
-
-
-def _log_normal(name: str, value: object) -> LogNormal:
-    if _are_numbers(value, 5):
-        distribution = LogNormal(*value)
-        if (
-            0 < distribution.low <= distribution.median <= distribution.high < inf
-            and 0 <= distribution.log_sd < inf
-            and abs(distribution.on_skill) <= 1
-        ):
-            return distribution
-    raise ValueError(
-        f"{name} = {value} must be [median, log-sd, low, high, on skill] with 0 < low <= median <= high, "
-        "log-sd >= 0 and on skill in -1..1"
-    )
-
-
-def _scaled_beta(name: str, value: object) -> ScaledBeta:
-    if _are_numbers(value, 3):
-        distribution = ScaledBeta(*value)
-        if 0 <= distribution.scale <= 1 and distribution.alpha > 0 and distribution.beta > 0:
-            return distribution
-    raise ValueError(f"{name} = {value} must be [scale in 0..1, alpha > 0, beta > 0]")

@@ -5,6 +5,7 @@ Units, sources and the list of assumed values are in `conf/users/default.yaml`.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
+from enum import IntEnum
 from functools import cache
 from typing import Any
 
@@ -23,21 +24,23 @@ from guidance.simulated_users.population.distributions import (
 )
 
 TRAITS = ("aggression", "press", "bank", "shadow", "power", "guard_depth")
-# Rows of the utility weights: an intention in a situation.
-UTILITY_ROWS = (
-    "away_wait",
-    "away_shadow",
-    "away_press",
-    "behind_recover",
-    "behind_block",
-    "near_control",
-    "near_control_at_rest",
-    "near_smash",
-    "near_bank",
-    "near_block",
-    "near_shadow",
-)
 UTILITY_TERMS = 6  # a constant, the weights of four traits, and that of an open goal
+
+
+class UtilityRow(IntEnum):
+    """Rows of the utility weights: an intention in a situation."""
+
+    away_wait = 0
+    away_shadow = 1
+    away_press = 2
+    behind_recover = 3
+    behind_block = 4
+    near_control = 5
+    near_control_at_rest = 6
+    near_smash = 7
+    near_bank = 8
+    near_block = 9
+    near_shadow = 10
 
 
 class Section:
@@ -97,8 +100,9 @@ class Intention(Section, key="intention"):
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        for name in sorted(set(self.utility_weights) ^ set(UTILITY_ROWS)):
-            allowed = "must be given" if name in UTILITY_ROWS else f"must be one of {', '.join(UTILITY_ROWS)}"
+        names = UtilityRow.__members__
+        for name in sorted(set(self.utility_weights) ^ set(names)):
+            allowed = "must be given" if name in names else f"must be one of {', '.join(names)}"
             raise ValueError(f"{self.key}.utility_weights.{name} {allowed}")
         for name, terms in self.utility_weights.items():
             if len(terms) != UTILITY_TERMS or not all(map(is_number, terms)):

@@ -17,9 +17,9 @@ from guidance.simulated_users.population.distributions import LogNormal, ScaledB
 from guidance.simulated_users.population.parameters import (
     PARAMETER_TYPES,
     TRAITS,
-    UTILITY_ROWS,
     UTILITY_TERMS,
     Population,
+    UtilityRow,
 )
 
 # One record per person, SI units. A field named like a parameter of `Population` is that parameter.
@@ -27,7 +27,7 @@ USER_PARAMETERS = np.dtype(
     [("archetype", np.int64), ("skill", np.float64), ("anticipated_bounces", np.int64), ("stiffening_gain", np.float64)]
     + [(name, np.float64) for name in PARAMETER_TYPES if name not in ("utility_weights", "archetypes")]
     + [(name, np.float64) for name in ("rating_gain", "rating_bias", *TRAITS)]
-    + [("utility_weights", np.float64, (len(UTILITY_ROWS), UTILITY_TERMS))]
+    + [("utility_weights", np.float64, (len(UtilityRow), UTILITY_TERMS))]
 )
 
 MAX_STIFFENING_GAIN = 3.0
@@ -115,7 +115,7 @@ def _fill_record(person: np.void, rng: np.random.Generator, population: Populati
     person["stiffening_gain"] = min(gain, MAX_STIFFENING_GAIN)
     person["rating_gain"] = np.exp(rating.rating_gain_log_sd * rng.standard_normal())
     person["rating_bias"] = rating.rating_bias_sd * rng.standard_normal()
-    person["utility_weights"] = [population.intention.utility_weights[name] for name in UTILITY_ROWS]
+    person["utility_weights"] = [population.intention.utility_weights[name] for name in UtilityRow.__members__]
     concentration = style.trait_concentration
     for name, mean in zip(TRAITS, style.archetypes[archetype], strict=True):
         person[name] = mean if np.isinf(concentration) else rng.beta(concentration * mean, concentration * (1 - mean))
