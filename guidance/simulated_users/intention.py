@@ -89,7 +89,7 @@ def intended_shot(person, state, percept, intention, table):
 
 @njit(cache=True)
 def target_y(person, state, percept, table):
-    """y in the opponent's goal that a shot is aimed at, m."""
+    """Y in the opponent's goal that a shot is aimed at, m."""
     mouth = table.goal / 2 - table.puck_radius
     avoidance = clamp(-percept[OTHER + 1] / table.goal, -person.opponent_avoidance, person.opponent_avoidance)
     return mouth * clamp(person.aim_spread * state.aim_offset + avoidance, -person.max_aim, person.max_aim)

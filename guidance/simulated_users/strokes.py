@@ -66,7 +66,7 @@ def move_time(person, hand_x, hand_y, x, y, table):
 
 @njit(cache=True, inline="always")
 def guard_x(person, table):
-    """x of this person's home position and line of defense."""
+    """X of this person's home position and line of defense."""
     return -table.length / 2 + person.min_guard_distance + person.guard_range * person.guard_depth
 
 

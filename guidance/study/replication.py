@@ -1,7 +1,7 @@
 """Replicated studies in batches, in this process or on a Ray cluster; resumable."""
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numba

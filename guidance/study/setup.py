@@ -63,6 +63,6 @@ def load_setup(cfg: DictConfig) -> StudySetup:
         lookahead_seconds=cfg.guidance.lookahead,
         protocol=construct(Protocol, cfg.study, "study"),
         variant=cfg.users.variant,
-        advisors=load_advisors(cfg.users.mentors),
+        advisors=load_advisors(cfg.users.advisors),
         rating_scales=OmegaConf.to_container(cfg.users.scales),
     )

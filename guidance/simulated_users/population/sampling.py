@@ -1,4 +1,6 @@
-"""Draw people from a `Population`. A parameter theta of person k is log-normal and may depend on skill ~ N(0, 1):
+"""Draw people from a `Population`.
+
+A parameter theta of person k is log-normal and may depend on skill ~ N(0, 1):
 
     theta_k = median * exp(log_sd * (on_skill * skill_k + sqrt(1 - on_skill^2) * eps_k)), clipped to [low, high].
 
