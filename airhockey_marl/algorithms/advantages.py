@@ -5,23 +5,20 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torchrl.objectives.value.functional import generalized_advantage_estimate
 
-from airhockey_marl.experiment.validation import check_numbers, check_view
-
 
 @torch.no_grad()
-def advantages(critic: nn.Module, view: TensorDictBase, gamma: float, gae_lambda: float) -> tuple[Tensor, Tensor]:
-    """Generalized advantage estimates (Schulman et al. 2016) and the critic's targets, (tables, steps, 1) each.
+def advantages(critic: nn.Module, batch: TensorDictBase, gamma: float, gae_lambda: float) -> tuple[Tensor, Tensor]:
+    """Generalized advantage estimates and regression targets of the critic, (tables, steps, 1) each.
 
     Args:
-        view: (tables, steps) as for `learner.Learner`. Where a round goes on, the next step's value is the value of
-            the next observation; only the others are asked for apart, which halves the work.
+        batch: (tables, steps), see `base.Learner.update`.
     """
-    check_view(view, acted=False)
-    check_numbers(0.0, at_most=1.0, gamma=gamma, gae_lambda=gae_lambda)
-    following, value = view["next"], critic(view["observation"])
-    apart = following["done"].squeeze(-1).clone()
-    apart[:, -1] = True
+    next_step, value = batch["next"], critic(batch["observation"])
+    # Within a round the value of the next observation is that of the next step: evaluating the critic at the other
+    # next observations only halves the work.
+    rollout_ends = next_step["done"].squeeze(-1).clone()
+    rollout_ends[:, -1] = True
     next_value = value.roll(-1, dims=1)
-    next_value[apart] = critic(following["observation"][apart])
-    flags = {name: following[name] for name in ("reward", "done", "terminated")}
+    next_value[rollout_ends] = critic(next_step["observation"][rollout_ends])
+    flags = {name: next_step[name] for name in ("reward", "done", "terminated")}
     return generalized_advantage_estimate(gamma, gae_lambda, value, next_value, **flags)

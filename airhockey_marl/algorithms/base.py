@@ -1,4 +1,4 @@
-"""What an algorithm is: settings that make a learner, and a learner that is fed with batches of play."""
+"""The interface of reinforcement learning algorithms: configurations, and the learners that they make."""
 
 from collections.abc import Mapping
 from typing import Protocol
@@ -11,31 +11,31 @@ from airhockey_marl.experiment.registry import Registry
 
 
 class Learner(Protocol):
-    """Improves one policy, in place, batch after batch."""
+    """Trains one policy in place, batch after batch."""
 
-    def update(self, view: TensorDictBase) -> dict[str, float]:
-        """Learn from a batch of play.
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """Train on a batch of transitions.
 
         Args:
-            view: (tables, steps) what one seat lived through, in order of time along `steps` (`seats.learner_view`):
-                observation (.., 12), action (.., 2), and under "next" the observation, the reward (.., 1), and
-                done, terminated and truncated (.., 1).
+            batch: (tables, steps), in order of time along `steps` (`two_player_policy.learner_batch`): observation
+                (.., 12), action (.., 2), and under "next" the observation, the reward (.., 1), and done, terminated
+                and truncated (.., 1).
 
         Returns:
-            What to log, by name.
+            Metrics to log, by name.
         """
         ...
 
-    def parts(self) -> Mapping[str, nn.Module | Optimizer]:
-        """All that it carries from one batch to the next beside the policy: what a checkpoint must hold."""
+    def modules(self) -> Mapping[str, nn.Module | Optimizer]:
+        """Everything but the policy that training changes: what a checkpoint must contain."""
         ...
 
 
 class Algorithm(Protocol):
-    """An algorithm's settings, a frozen dataclass made from `conf/algorithm/*.yaml`."""
+    """The configuration of an algorithm, a frozen dataclass made from `conf/algorithm/*.yaml`."""
 
     def learner(self, policy: nn.Module, gamma: float) -> Learner:
-        """Begin to train `policy`, observations to (mean, STD) of a diagonal Gaussian; `gamma` is per decision."""
+        """A learner for `policy`, observations to (mean, STD) of a diagonal Gaussian; `gamma` is per decision."""
         ...
 
 

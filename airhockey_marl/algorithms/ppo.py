@@ -1,8 +1,8 @@
 """Proximal policy optimization (Schulman et al. 2017), for comparison with the paper's TRPO.
 
-One update: advantages from the critic (GAE), then some passes over the batch in minibatches that raise the clipped
-surrogate and fit the critic, both by one Adam. The loss is TorchRL's, the advantages are those of `trpo`.
-The policy is any module that maps observations to (mean, STD) of a diagonal Gaussian.
+One update: advantages from the critic (GAE), then some epochs of minibatches on the clipped surrogate and the critic's
+squared error, both by one Adam. The loss is TorchRL's. The policy is any module that maps observations to (mean, STD)
+of a diagonal Gaussian.
 """
 
 from collections.abc import Sequence
@@ -18,21 +18,21 @@ from torchrl.objectives import ClipPPOLoss
 from airhockey_marl.algorithms.advantages import advantages
 from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.algorithms.trpo import kl_divergence
-from airhockey_marl.experiment.validation import check_counts, check_numbers, check_view, labeled
+from airhockey_marl.experiment.validation import check_counts, check_numbers, labeled
 from airhockey_marl.players.networks import Critic
 
 
 @ALGORITHMS.register("ppo")
 @dataclass(frozen=True)
 class PPOConfig:
-    """The settings of PPO.
+    """The configuration of PPO.
 
     Attributes:
-        clip_epsilon: how far from 1 the probability ratio of an action may go and still be rewarded.
-        epochs, minibatch, lr: passes over each batch, transitions per step of Adam, and its step size.
+        clip_epsilon: largest distance of an action's probability ratio from 1 that the surrogate rewards.
+        epochs, minibatch, lr: epochs on each batch, transitions per step of Adam, and its step size.
         entropy_coef: weight of the policy's entropy, in nats, in the objective.
         critic_coef: weight of the critic's squared error.
-        max_grad_norm: a longer gradient, of policy and critic together, is shortened to this.
+        max_grad_norm: largest norm of the gradient, of policy and critic together; a longer one is scaled to it.
         gae_lambda: trade-off between bias (0) and variance (1) of the advantages (Schulman et al. 2016).
         critic_hidden, critic_inputs: of the critic, see `networks.Critic`.
     """
@@ -55,77 +55,72 @@ class PPOConfig:
         check_numbers(0.0, **labeled(self, "algorithm", "entropy_coef"))
 
     def learner(self, policy: nn.Module, gamma: float) -> "PPOLearner":
-        """Begin to train `policy`, observations to (mean, STD); `gamma` is per decision."""
+        """A learner for `policy`, observations to (mean, STD); `gamma` is per decision."""
         return PPOLearner(self, policy, gamma)
 
 
 class PPOLearner:
-    """PPO at work on one policy: advantages, then epochs of minibatches for policy and critic."""
+    """A policy and its critic in training by PPO."""
 
-    def __init__(self, settings: PPOConfig, policy: nn.Module, gamma: float) -> None:
-        check_numbers(0.0, at_most=1.0, gamma=gamma)
-        self.settings, self.policy = settings, policy
-        self.critic = Critic(settings.critic_hidden, settings.critic_inputs).to(next(policy.parameters()).device)
-        self.actor = gaussian_actor(policy)
-        self.gamma = gamma
+    def __init__(self, config: PPOConfig, policy: nn.Module, gamma: float) -> None:
+        self.config, self.policy, self.gamma = config, policy, gamma
+        self.critic = Critic(config.critic_hidden, config.critic_inputs).to(next(policy.parameters()).device)
         self.loss = ClipPPOLoss(
-            self.actor,
+            gaussian_actor(policy),
             TensorDictModule(self.critic, in_keys=["observation"], out_keys=["state_value"]),
-            clip_epsilon=settings.clip_epsilon,
-            entropy_bonus=settings.entropy_coef > 0,
-            entropy_coeff=settings.entropy_coef,
-            critic_coeff=settings.critic_coef,
+            clip_epsilon=config.clip_epsilon,
+            entropy_bonus=config.entropy_coef > 0,
+            entropy_coeff=config.entropy_coef,
+            critic_coeff=config.critic_coef,
             loss_critic_type="l2",
             log_explained_variance=False,
-            functional=False,  # nothing else uses these modules meanwhile
+            functional=False,  # no copies of the parameters: the loss is the modules' only user during an update
         )
-        self.trained = [*policy.parameters(), *self.critic.parameters()]
-        # epsilon as in the reference implementation, larger than Adam's own (Huang et al. 2022, detail 3)
-        self.optimizer = torch.optim.Adam(self.trained, lr=settings.lr, eps=1e-5, fused=True)
+        self.parameters = [*policy.parameters(), *self.critic.parameters()]
+        # epsilon of the reference implementation, larger than Adam's default (Huang et al. 2022, detail 3)
+        self.optimizer = torch.optim.Adam(self.parameters, lr=config.lr, eps=1e-5, fused=True)
 
-    def parts(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
-        """What a checkpoint must hold; see `learner.Learner`."""
+    def modules(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
+        """What a checkpoint must contain beside the policy."""
         return {"critic": self.critic, "optimizer": self.optimizer}
 
-    def update(self, view: TensorDictBase) -> dict[str, float]:
-        """Improve policy and critic, in place; see `learner.Learner` for the batch.
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """Train policy and critic; see `base.Learner` for the batch.
 
         Returns:
-            What to log: kl of the old policy from the new one, mean STD before, critic loss (mean squared error over
-            the epochs).
+            kl of the policies before and after, mean STD before, critic_loss (mean squared error over the epochs).
         """
-        check_view(view)
-        advantage, target = advantages(self.critic, view, self.gamma, self.settings.gae_lambda)
-        batch = view.select("observation", "action").reshape(-1)
-        advantage, batch["value_target"] = advantage.flatten(0, 1), target.flatten(0, 1)
-        batch["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
+        advantage, target = advantages(self.critic, batch, self.gamma, self.config.gae_lambda)
+        data = batch.select("observation", "action").reshape(-1)
+        advantage, data["value_target"] = advantage.flatten(0, 1), target.flatten(0, 1)
+        data["advantage"] = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         with torch.no_grad():
-            mean, std = self.policy(batch["observation"])
-            batch["action_log_prob"] = IndependentNormal(mean, std).log_prob(batch["action"])
+            mean, std = self.policy(data["observation"])
+            data["action_log_prob"] = IndependentNormal(mean, std).log_prob(data["action"])
         losses = []
-        for _ in range(self.settings.epochs):
-            for index in torch.randperm(len(batch)).split(self.settings.minibatch):
-                losses.append(self._step(batch[index]))
+        for _ in range(self.config.epochs):
+            for index in torch.randperm(len(data)).split(self.config.minibatch):
+                losses.append(self._step(data[index]))
         with torch.no_grad():
-            kl = kl_divergence(mean, std, *self.policy(batch["observation"])).item()
+            kl = kl_divergence(mean, std, *self.policy(data["observation"])).item()
         return {"kl": kl, "std": std.mean().item(), "critic_loss": torch.stack(losses).mean().item()}
 
-    def _step(self, batch: TensorDictBase) -> torch.Tensor:
+    def _step(self, minibatch: TensorDictBase) -> torch.Tensor:
         """One step of Adam on a minibatch; returns the critic's mean squared error on it."""
-        losses = self.loss(batch)
+        losses = self.loss(minibatch)
         self.optimizer.zero_grad()
         sum(loss for name, loss in losses.items() if name.startswith("loss_")).backward()
-        nn.utils.clip_grad_norm_(self.trained, self.settings.max_grad_norm)
+        nn.utils.clip_grad_norm_(self.parameters, self.config.max_grad_norm)
         self.optimizer.step()
-        return losses["loss_critic"].detach() / self.settings.critic_coef
+        return losses["loss_critic"].detach() / self.config.critic_coef
 
 
 def gaussian_actor(policy: nn.Module) -> ProbabilisticActor:
-    """A policy, observations to (mean, STD), as TorchRL's losses want one: "observation" to "action"."""
+    """The TorchRL actor, "observation" to "action", of a policy, observations to (mean, STD)."""
     return ProbabilisticActor(
         TensorDictModule(policy, in_keys=["observation"], out_keys=["loc", "scale"]),
         in_keys=["loc", "scale"],
         out_keys=["action"],
         distribution_class=IndependentNormal,
-        distribution_kwargs={"validate_args": False},  # a fifth of the time of an update
+        distribution_kwargs={"validate_args": False},  # validation takes a fifth of an update's time
     )

@@ -1,17 +1,17 @@
 """Soft actor-critic (Haarnoja et al. 2018b), for comparison with the paper's TRPO.
 
-One update: the batch enters a replay memory, then some steps of Adam on minibatches from it, for two Q networks, the
-policy and the temperature; target networks follow softly. Loss and target updates are TorchRL's. The policy is any
-module that maps observations to (mean, STD) of a diagonal Gaussian.
+One update: the batch enters a replay buffer, then some steps of Adam on minibatches from it, for two Q networks, the
+policy and the temperature; soft updates of the target networks. Loss, target updates and replay buffer are TorchRL's.
+The policy is any module that maps observations to (mean, STD) of a diagonal Gaussian.
 
-The Gaussian is the paper's, without the usual squashing by tanh: the table cuts actions to [-1, 1] instead. To SAC
-the cut is a part of the game, whose actions are then all of the plane: the entropy is the Gaussian's own, known in
-closed form, and Q(s, a) = Q(s, cut(a)) holds exactly. `QNetwork` has that built in, as it sees the cut action: without
-it, it would have to extrapolate to actions that the memory holds few of, and the policy would run after its errors.
-So the memory may keep either; it keeps actions as they were drawn.
+The Gaussian is the paper's, without the usual squashing by tanh: the table clips actions to [-1, 1] instead. For SAC
+the clipping is a part of the environment, whose action space is then the whole plane: the entropy is the Gaussian's,
+known in closed form, and Q(s, a) = Q(s, clip(a)) holds exactly. `QNetwork` clips its input, and so it does not
+extrapolate to actions that are rare in the replay buffer, where the policy would exploit its errors. The replay buffer
+holds the actions before clipping.
 
-Beyond the cut Q is flat, and a Gaussian out there has any STD for nothing: left alone, the means run away and the
-entropy is had where it does not matter. A cost keeps the means near [-1, 1] (`outside_cost`).
+Outside of [-1, 1] Q is constant, so entropy costs nothing there: without a countermeasure the means diverge. A cost
+keeps them near [-1, 1] (`outside_cost`).
 """
 
 import math
@@ -22,27 +22,28 @@ import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModule
 from torch import Tensor, nn
+from torchrl.data import TensorDictReplayBuffer, TensorStorage
 from torchrl.objectives import SACLoss, SoftUpdate, ValueEstimators
 
 from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.algorithms.ppo import gaussian_actor
-from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, check_view, labeled
+from airhockey_marl.experiment.validation import check_counts, check_numbers, labeled
 from airhockey_marl.players.networks import PADDLE, ObservationScaling, check_hidden, mlp_layers
 
 
 @ALGORITHMS.register("sac")
 @dataclass(frozen=True)
 class SACConfig:
-    """The settings of SAC.
+    """The configuration of SAC.
 
     Attributes:
-        capacity: transitions that the memory keeps, the newest.
-        updates, minibatch: steps of Adam after each batch of play, and transitions drawn for each.
+        capacity: of the replay buffer, in transitions.
+        updates, minibatch: steps of Adam after each batch, and transitions sampled for each step.
         policy_lr, q_lr, temperature_lr: step sizes of Adam.
-        tau: share by which the target networks approach the Q networks at each step.
-        temperature: weight of the entropy at the start, in goals per nat; it is learned.
-        target_entropy: what the policy's mean entropy is held at by the temperature, in nats.
-        outside_cost: goals that a mean action costs one unit beyond [-1, 1], growing with the square of the distance.
+        tau: fraction of the way from the target networks to the Q networks at each soft update.
+        temperature: initial weight of the entropy, in goals per nat; it is learned.
+        target_entropy: of the policy, in nats, to which the temperature adapts.
+        outside_cost: cost in goals of a mean action one unit outside of [-1, 1]; grows with the square of the distance.
         q_hidden: sizes of the Q networks' hidden layers.
     """
 
@@ -73,7 +74,7 @@ class SACConfig:
         check_hidden(self.q_hidden, "algorithm.q_hidden")
 
     def learner(self, policy: nn.Module, gamma: float) -> "SACLearner":
-        """Begin to train `policy`, observations to (mean, STD); `gamma` is per decision."""
+        """A learner for `policy`, observations to (mean, STD); `gamma` is per decision."""
         return SACLearner(self, policy, gamma)
 
 
@@ -85,80 +86,78 @@ class QNetwork(nn.Module):
 
     def __init__(self, hidden: Sequence[int]) -> None:
         super().__init__()
-        check_hidden(hidden)
         self.inputs = ObservationScaling(PADDLE)
         self.layers = nn.Sequential(*mlp_layers(14, tuple(hidden)), nn.Linear(hidden[-1], 1))
 
     def forward(self, observation: Tensor, action: Tensor) -> Tensor:
         """Map observations (..., 12) and actions (..., 2) to values (..., 1)."""
-        check_tensors(observation=(observation, "... 12"), action=(action, "... 2"))
         return self.layers(torch.cat([self.inputs(observation), action.clamp(-1.0, 1.0)], dim=-1))
 
 
 class ReplayBuffer(nn.Module):
-    """The newest transitions, in a ring: a module, so that what it holds is a state dict of tensors.
+    """The newest transitions: TorchRL's replay buffer as a module, whose state dict a checkpoint can hold.
 
-    TorchRL's replay buffers are no modules, and more than tensors is in their state. Here sampling takes torch's global
-    random numbers, which a checkpoint holds anyhow.
+    Sampling uses torch's global random numbers, which a checkpoint holds as well.
 
     Args:
-        capacity: transitions that it can hold.
+        capacity: transitions.
     """
 
-    WIDTHS = {"observation": 12, "action": 2, "reward": 1, "following": 12}  # noqa: RUF012 (never changed)
+    SIZES = {  # noqa: RUF012 (never changed)
+        "observation": 12,
+        "action": 2,
+        ("next", "observation"): 12,
+        ("next", "reward"): 1,
+        ("next", "terminated"): 1,
+    }
 
-    def __init__(self, capacity: int) -> None:
+    def __init__(self, capacity: int, device: torch.device | None = None) -> None:
         super().__init__()
-        check_counts(capacity=capacity)
-        for name, width in self.WIDTHS.items():
-            self.register_buffer(name, torch.zeros(capacity, width))
-        self.register_buffer("terminated", torch.zeros(capacity, 1, dtype=torch.bool))
-        self.register_buffer("written", torch.zeros((), dtype=torch.int64))  # ever
+        self.transitions = TensorDict(batch_size=[capacity], device=device)
+        for key, size in self.SIZES.items():
+            dtype = torch.bool if "terminated" in key else torch.float32
+            self.transitions[key] = torch.zeros(capacity, size, dtype=dtype, device=device)
+            name = key if isinstance(key, str) else "_".join(key)
+            self.register_buffer(name, self.transitions[key])  # the same memory
+        self.buffer = TensorDictReplayBuffer(storage=TensorStorage(self.transitions, device=self.transitions.device))
+        self.buffer.empty()
 
     def __len__(self) -> int:
-        return min(int(self.written), len(self.reward))
+        return len(self.buffer)
 
-    def extend(self, view: TensorDictBase) -> None:
-        """Remember a batch of play, see `learner.Learner`; the oldest makes room."""
-        check_view(view)
-        flat, capacity = view.reshape(-1), len(self.reward)
-        flat = flat[-capacity:]
-        place = (self.written + torch.arange(len(flat), device=self.written.device)) % capacity
-        self.observation[place], self.action[place] = flat["observation"], flat["action"]
-        self.reward[place], self.following[place] = flat["next", "reward"], flat["next", "observation"]
-        self.terminated[place] = flat["next", "terminated"]
-        self.written += len(flat)
+    def get_extra_state(self) -> Tensor:
+        """The index of the next write and the number of transitions: the part of the state dict that is no buffer."""
+        return torch.tensor([self.buffer.writer.state_dict()["_cursor"], len(self)])
 
-    def sample(self, number: int) -> TensorDict:
-        """Draw `number` transitions, with replacement, as TorchRL's losses want them.
+    def set_extra_state(self, state: Tensor) -> None:
+        cursor, length = state.tolist()
+        self.buffer.writer.load_state_dict({"_cursor": cursor})
+        self.buffer.storage.load_state_dict({**self.buffer.storage.state_dict(), "_len": length})
 
-        A round that was cut off is not over: only `terminated` is told, and the value of what would have followed
-        counts.
+    def extend(self, batch: TensorDictBase) -> None:
+        """Add a batch of transitions, see `base.Learner`; they replace the oldest."""
+        transitions = batch.select(*self.SIZES).reshape(-1)
+        self.buffer.extend(transitions[-len(self.transitions) :])
+
+    def sample(self, count: int) -> TensorDict:
+        """Draw transitions with replacement.
+
+        `done` is `terminated`: after a truncated round the value of the next observation counts.
         """
-        check_counts(number=number)
-        place = torch.randint(len(self), (number,))
-        over = self.terminated[place]
-        following = {
-            "observation": self.following[place],
-            "reward": self.reward[place],
-            "terminated": over,
-            "done": over,
-        }
-        return TensorDict(
-            {"observation": self.observation[place], "action": self.action[place], "next": following}, [number]
-        )
+        transitions = self.buffer.sample(count)
+        transitions["next", "done"] = transitions["next", "terminated"]
+        return transitions
 
 
 class SACLearner:
-    """SAC at work on one policy."""
+    """A policy and its Q networks in training by SAC."""
 
-    def __init__(self, settings: SACConfig, policy: nn.Module, gamma: float) -> None:
-        check_numbers(0.0, at_most=1.0, gamma=gamma)
+    def __init__(self, config: SACConfig, policy: nn.Module, gamma: float) -> None:
         device = next(policy.parameters()).device
-        self.settings, self.policy, self.memory = settings, policy, ReplayBuffer(settings.capacity).to(device)
+        self.config, self.policy, self.replay_buffer = config, policy, ReplayBuffer(config.capacity, device)
         networks = [
             TensorDictModule(
-                QNetwork(settings.q_hidden).to(device),
+                QNetwork(config.q_hidden).to(device),
                 in_keys=["observation", "action"],
                 out_keys=["state_action_value"],
             )
@@ -169,52 +168,52 @@ class SACLearner:
             networks,
             num_qvalue_nets=2,
             loss_function="l2",
-            alpha_init=settings.temperature,
-            target_entropy=settings.target_entropy,
+            alpha_init=config.temperature,
+            target_entropy=config.target_entropy,
             deactivate_vmap=True,  # for two networks a loop is as fast
         )
         self.loss.make_value_estimator(ValueEstimators.TD0, gamma=gamma)
-        self.follow = SoftUpdate(self.loss, tau=settings.tau)
-        self.q, self.targets = self.loss.qvalue_network_params, self.loss.target_qvalue_network_params
+        self.target_update = SoftUpdate(self.loss, tau=config.tau)
+        self.q, self.target_q = self.loss.qvalue_network_params, self.loss.target_qvalue_network_params
         self.temperature = nn.ParameterDict({"log": self.loss.log_alpha})
         groups = [
-            {"params": list(policy.parameters()), "lr": settings.policy_lr},
-            {"params": list(self.q.parameters()), "lr": settings.q_lr},
-            {"params": list(self.temperature.parameters()), "lr": settings.temperature_lr},
+            {"params": list(policy.parameters()), "lr": config.policy_lr},
+            {"params": list(self.q.parameters()), "lr": config.q_lr},
+            {"params": list(self.temperature.parameters()), "lr": config.temperature_lr},
         ]
         self.optimizer = torch.optim.Adam(groups, fused=True)
 
-    def parts(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
-        """What a checkpoint must hold; see `learner.Learner`."""
+    def modules(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
+        """What a checkpoint must contain beside the policy."""
         return {
-            "memory": self.memory,
+            "replay_buffer": self.replay_buffer,
             "q": self.q,
-            "targets": self.targets,
+            "target_q": self.target_q,
             "temperature": self.temperature,
             "optimizer": self.optimizer,
         }
 
-    def update(self, view: TensorDictBase) -> dict[str, float]:
-        """Remember a batch, then learn from all that is remembered; see `learner.Learner` for the batch.
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """Add a batch to the replay buffer, then train on samples of it; see `base.Learner` for the batch.
 
         Returns:
-            What to log: losses of the Q networks (squared errors, added) and of the policy, averaged over the
-            updates; temperature, in goals per nat, after them; mean STD before.
+            q_loss (squared errors of both Q networks, added) and actor_loss, means over the updates; temperature after
+            them, in goals per nat; mean STD before.
         """
         with torch.no_grad():
-            self.memory.extend(view)
-            std = self.policy(view["observation"])[1].mean().item()
+            self.replay_buffer.extend(batch)
+            std = self.policy(batch["observation"])[1].mean().item()
         history = []
-        for _ in range(self.settings.updates):
-            batch = self.memory.sample(self.settings.minibatch)
-            losses = self.loss(batch)
-            outside = (self.policy(batch["observation"])[0].abs() - 1.0).clamp(min=0.0).square().sum(-1).mean()
+        for _ in range(self.config.updates):
+            sample = self.replay_buffer.sample(self.config.minibatch)
+            losses = self.loss(sample)
+            excess = (self.policy(sample["observation"])[0].abs() - 1.0).clamp(min=0.0).square().sum(-1).mean()
             self.optimizer.zero_grad()
-            # one backward pass for all: TorchRL keeps each loss's gradient from the others' parameters
+            # one backward pass suffices: TorchRL detaches each loss from the parameters of the others
             total = losses["loss_qvalue"] + losses["loss_actor"] + losses["loss_alpha"]
-            (total + self.settings.outside_cost * outside).backward()
+            (total + self.config.outside_cost * excess).backward()
             self.optimizer.step()
-            self.follow.step()
+            self.target_update.step()
             history.append(torch.stack([losses["loss_qvalue"], losses["loss_actor"]]).detach())
         q_loss, actor_loss = torch.stack(history).mean(0).tolist()
         temperature = self.loss.log_alpha.exp().item()

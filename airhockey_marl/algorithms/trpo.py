@@ -1,7 +1,7 @@
 """Trust region policy optimization (Schulman et al. 2015), the algorithm of section 3.2.2.
 
 One update: the natural gradient by conjugate gradient on Fisher-vector products, the step length from the trust
-region, a backtracking line search on the surrogate, then some passes of regression for the critic. The policy is
+region, a backtracking line search on the surrogate, then some epochs of regression for the critic. The policy is
 any module that maps observations to (mean, STD) of a diagonal Gaussian.
 """
 
@@ -15,15 +15,16 @@ from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
 from airhockey_marl.algorithms.advantages import advantages
 from airhockey_marl.algorithms.base import ALGORITHMS
-from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors, check_view, labeled
+from airhockey_marl.experiment.validation import check_counts, check_numbers, labeled
 from airhockey_marl.players.networks import Critic
 
 
 def conjugate_gradient(matvec: Callable[[Tensor], Tensor], b: Tensor, steps: int, tolerance: float = 1e-10) -> Tensor:
-    """Solve `matvec(x) = b` for a symmetric positive definite operator, from zeros, in at most `steps` steps."""
-    check_tensors(b=(b, "n"))
-    check_counts(steps=steps)
-    check_numbers(0.0, tolerance=tolerance)
+    """Solve `matvec(x) = b` for a symmetric positive definite operator, from zeros, in at most `steps` steps.
+
+    Args:
+        tolerance: squared norm of the residual below which the solution is accepted.
+    """
     x = torch.zeros_like(b)
     residual, direction = b.clone(), b.clone()
     norm2 = residual.dot(residual)
@@ -34,36 +35,34 @@ def conjugate_gradient(matvec: Callable[[Tensor], Tensor], b: Tensor, steps: int
         length = norm2 / direction.dot(product)
         x += length * direction
         residual -= length * product
-        before, norm2 = norm2, residual.dot(residual)
-        direction = residual + norm2 / before * direction
+        previous, norm2 = norm2, residual.dot(residual)
+        direction = residual + norm2 / previous * direction
     return x
 
 
 def log_prob(mean: Tensor, std: Tensor, action: Tensor) -> Tensor:
-    """Log-density of actions (..., 2) under the Gaussians (..., 2), without the constant: (...)."""
-    check_tensors(mean=(mean, "... 2"), std=(std, "... 2"), action=(action, "... 2"))
+    """Log-density (...) of actions (..., 2) under diagonal Gaussians (..., 2), without the constant."""
     return (-0.5 * ((action - mean) / std) ** 2 - std.log()).sum(-1)
 
 
 def kl_divergence(mean: Tensor, std: Tensor, new_mean: Tensor, new_std: Tensor) -> Tensor:
-    """KL(old || new) of diagonal Gaussians, averaged over the states: a scalar."""
-    check_tensors(mean=(mean, "... 2"), std=(std, "... 2"), new_mean=(new_mean, "... 2"), new_std=(new_std, "... 2"))
+    """KL(old || new) of diagonal Gaussians in nats, averaged over the states: a scalar."""
     return (new_std.log() - std.log() + (std**2 + (mean - new_mean) ** 2) / (2 * new_std**2) - 0.5).sum(-1).mean()
 
 
 class FisherVectorProduct:
-    """v -> (F + damping) v, where F is the Hessian of the mean KL at the present parameters.
+    """The product v -> (F + damping) v, where F is the Hessian of the mean KL at the current parameters.
 
     For a Gaussian that Hessian is J^T M J, with J the Jacobian of (mean, STD) and M = diag(1/STD^2, 2/STD^2): no
-    second derivative of the network is needed. J v comes from differentiating w -> J^T w, whose graph is built
-    once, so each product costs two backward passes.
+    second derivative of the network is needed. J v is the derivative of w -> J^T w, whose graph is built once, so each
+    product costs two backward passes.
+
+    Args:
+        observation: (n, 12) the states over which the KL is averaged.
     """
 
     def __init__(self, policy: nn.Module, observation: Tensor, damping: float) -> None:
-        check_tensors(observation=(observation, "n k"))
-        check_numbers(0.0, damping=damping)
         self.parameters = list(policy.parameters())
-        self.size = sum(parameter.numel() for parameter in self.parameters)
         self.damping = damping
         self.outputs = policy(observation)
         mean, std = (output.detach() for output in self.outputs)
@@ -74,31 +73,30 @@ class FisherVectorProduct:
         )
 
     def __call__(self, vector: Tensor) -> Tensor:
-        check_tensors(self.parameters[0].device, vector=(vector, str(self.size)))
         split, start = [], 0
         for parameter in self.parameters:
             split.append(vector[start : start + parameter.numel()].view_as(parameter))
             start += parameter.numel()
         jacobian_v = torch.autograd.grad(self.pullback, self.cotangents, split, retain_graph=True)
-        weighted = [m * jv for m, jv in zip(self.metric, jacobian_v, strict=True)]
-        product = torch.autograd.grad(self.outputs, self.parameters, weighted, retain_graph=True)
+        metric_v = [m * jv for m, jv in zip(self.metric, jacobian_v, strict=True)]
+        product = torch.autograd.grad(self.outputs, self.parameters, metric_v, retain_graph=True)
         return torch.cat([part.reshape(-1) for part in product]) + self.damping * vector
 
 
 @ALGORITHMS.register("trpo")
 @dataclass(frozen=True)
 class TRPOConfig:
-    """The settings of TRPO.
+    """The configuration of TRPO.
 
     Attributes:
         max_kl: radius of the trust region, in nats.
         cg_max_steps, damping: of the conjugate gradient.
-        fisher_subsample: share of the batch's states on which the Fisher matrix is evaluated; it needs fewer than the
-            gradient does (Schulman et al. 2015, appendix C).
-        line_search_max_iter, shrink: how often, and by how much, a step that fails is shortened.
+        fisher_subsample: proportion of the batch's states on which the Fisher matrix is evaluated; it needs fewer than
+            the gradient (Schulman et al. 2015, appendix C).
+        line_search_max_iter, line_search_shrink: largest number of trials, and the factor of the step after each.
         gae_lambda: trade-off between bias (0) and variance (1) of the advantages (Schulman et al. 2016).
         critic_hidden, critic_inputs: of the critic, see `networks.Critic`.
-        critic_epochs, critic_batch_size, critic_lr: its regression, by Adam, on each batch.
+        critic_epochs, critic_batch_size, critic_lr: of its regression on each batch, by Adam.
     """
 
     max_kl: float
@@ -121,43 +119,40 @@ class TRPOConfig:
         check_numbers(above=0.0, at_most=1.0, **labeled(self, "algorithm", "fisher_subsample", "gae_lambda"))
         check_numbers(0.0, **labeled(self, "algorithm", "damping"))
         if not self.line_search_shrink < 1:
-            raise ValueError(f"algorithm.shrink = {self.line_search_shrink} must be between 0 and 1")
+            raise ValueError(f"algorithm.line_search_shrink = {self.line_search_shrink} must be between 0 and 1")
 
     def learner(self, policy: nn.Module, gamma: float) -> "TRPOLearner":
-        """Begin to train `policy`, observations to (mean, STD); `gamma` is per decision."""
+        """A learner for `policy`, observations to (mean, STD); `gamma` is per decision."""
         return TRPOLearner(self, policy, gamma)
 
 
 class TRPOLearner:
-    """TRPO at work on one policy: advantages, the policy's step, the critic's regression."""
+    """A policy and its critic in training by TRPO."""
 
-    def __init__(self, settings: TRPOConfig, policy: nn.Module, gamma: float) -> None:
-        check_numbers(0.0, at_most=1.0, gamma=gamma)
-        self.settings, self.policy, self.gamma = settings, policy, gamma
-        self.critic = Critic(settings.critic_hidden, settings.critic_inputs).to(next(policy.parameters()).device)
-        self.optimizer = torch.optim.Adam(self.critic.parameters(), lr=settings.critic_lr, fused=True)
+    def __init__(self, config: TRPOConfig, policy: nn.Module, gamma: float) -> None:
+        self.config, self.policy, self.gamma = config, policy, gamma
+        self.critic = Critic(config.critic_hidden, config.critic_inputs).to(next(policy.parameters()).device)
+        self.optimizer = torch.optim.Adam(self.critic.parameters(), lr=config.critic_lr, fused=True)
 
-    def parts(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
-        """What a checkpoint must hold; see `learner.Learner`."""
+    def modules(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
+        """What a checkpoint must contain beside the policy."""
         return {"critic": self.critic, "optimizer": self.optimizer}
 
-    def update(self, view: TensorDictBase) -> dict[str, float]:
-        """Improve the policy, then the critic, in place; see `learner.Learner` for the batch.
+    def update(self, batch: TensorDictBase) -> dict[str, float]:
+        """Train the policy, then the critic; see `base.Learner` for the batch.
 
         Returns:
-            What to log: kl, surrogate gain, accepted step (0 if none was), mean STD, critic loss.
+            kl, gain of the surrogate, accepted fraction of the step (0 if none), mean STD, critic_loss.
         """
-        check_view(view)
-        advantage, target = advantages(self.critic, view, self.gamma, self.settings.gae_lambda)
-        observation, action = view["observation"].flatten(0, 1), view["action"].flatten(0, 1)
-        metrics = self.improve_policy(observation, action, advantage.flatten())
-        metrics["critic_loss"] = self.fit_critic(observation, target.flatten(0, 1))
+        advantage, target = advantages(self.critic, batch, self.gamma, self.config.gae_lambda)
+        observation, action = batch["observation"].flatten(0, 1), batch["action"].flatten(0, 1)
+        metrics = self.update_policy(observation, action, advantage.flatten())
+        metrics["critic_loss"] = self.update_critic(observation, target.flatten(0, 1))
         return metrics
 
-    def improve_policy(self, observation: Tensor, action: Tensor, advantage: Tensor) -> dict[str, float]:
+    def update_policy(self, observation: Tensor, action: Tensor, advantage: Tensor) -> dict[str, float]:
         """One natural gradient step within the trust region: observations (n, 12), actions (n, 2), advantages (n,)."""
-        check_tensors(observation=(observation, "n k"), action=(action, "n 2"), advantage=(advantage, "n"))
-        settings, policy = self.settings, self.policy
+        config, policy = self.config, self.policy
         parameters = list(policy.parameters())
         advantage = (advantage - advantage.mean()) / (advantage.std() + 1e-8)
         mean, std = policy(observation)
@@ -166,36 +161,35 @@ class TRPOLearner:
         def surrogate(mean: Tensor, std: Tensor) -> Tensor:
             return ((log_prob(mean, std, action) - old_log_prob).exp() * advantage).mean()
 
-        parts = torch.autograd.grad(surrogate(mean, std), parameters)
-        gradient = torch.cat([part.reshape(-1) for part in parts])
-        every = round(1 / settings.fisher_subsample)
-        fisher = FisherVectorProduct(policy, observation[::every], settings.damping)
-        direction = conjugate_gradient(fisher, gradient, settings.cg_max_steps)
+        gradients = torch.autograd.grad(surrogate(mean, std), parameters)
+        gradient = torch.cat([part.reshape(-1) for part in gradients])
+        stride = round(1 / config.fisher_subsample)
+        fisher = FisherVectorProduct(policy, observation[::stride], config.damping)
+        direction = conjugate_gradient(fisher, gradient, config.cg_max_steps)
         curvature = direction.dot(fisher(direction))
         metrics = {"kl": 0.0, "gain": 0.0, "step": 0.0, "std": old_std.mean().item()}
         if not (torch.isfinite(curvature) and curvature > 0):
             return metrics
 
-        full_step = direction * torch.sqrt(2 * settings.max_kl / curvature)
+        full_step = direction * torch.sqrt(2 * config.max_kl / curvature)
         start = parameters_to_vector(parameters).detach()
         with torch.no_grad():
-            for attempt in range(settings.line_search_max_iter):
-                fraction = settings.line_search_shrink**attempt
+            for attempt in range(config.line_search_max_iter):
+                fraction = config.line_search_shrink**attempt
                 vector_to_parameters(start + fraction * full_step, parameters)
                 mean, std = policy(observation)
-                gain = surrogate(mean, std).item()  # the surrogate is 0 at the start: advantages have mean 0
+                gain = surrogate(mean, std).item()  # 0 at the start, as the advantages have mean 0
                 kl = kl_divergence(old_mean, old_std, mean, std).item()
-                if gain > 0 and kl <= settings.max_kl:
+                if gain > 0 and kl <= config.max_kl:
                     return metrics | {"kl": kl, "gain": gain, "step": fraction}
             vector_to_parameters(start, parameters)
         return metrics
 
-    def fit_critic(self, observation: Tensor, target: Tensor) -> float:
-        """Some passes of regression on observations (n, 12) and targets (n, 1); returns the mean loss."""
-        check_tensors(observation=(observation, "n k"), target=(target, "n 1"))
+    def update_critic(self, observation: Tensor, target: Tensor) -> float:
+        """Epochs of regression on observations (n, 12) and targets (n, 1); returns the mean loss."""
         losses = []
-        for _ in range(self.settings.critic_epochs):
-            for index in torch.randperm(len(observation)).split(self.settings.critic_batch_size):
+        for _ in range(self.config.critic_epochs):
+            for index in torch.randperm(len(observation)).split(self.config.critic_batch_size):
                 loss = nn.functional.mse_loss(self.critic(observation[index]), target[index])
                 self.optimizer.zero_grad()
                 loss.backward()

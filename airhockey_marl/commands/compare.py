@@ -14,7 +14,14 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.evaluation.comparison import LEAGUE, check_runs, compare, comparison_figure, read_run, screen_table
+from airhockey_marl.evaluation.comparison import (
+    LEAGUE_FILE,
+    check_runs,
+    compare,
+    comparison_figure,
+    read_run,
+    screen_table,
+)
 from airhockey_marl.experiment.command import command, report_input_errors, require_counts
 from airhockey_marl.experiment.files import atomic_write, find_files
 from airhockey_marl.experiment.plotting import save_png
@@ -26,7 +33,7 @@ def main(cfg: DictConfig) -> None:
         require_counts(cfg, "rounds", "threads")
         require_counts(cfg, "seed", least=0)
         places = [cfg.runs] if isinstance(cfg.runs, str) else cfg.runs
-        runs = [read_run(file.parent) for file in find_files(places, LEAGUE)]
+        runs = [read_run(file.parent) for file in find_files(places, LEAGUE_FILE)]
         check_runs(runs)
     torch.set_num_threads(cfg.threads)
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)

@@ -14,7 +14,7 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.evaluation.league_metrics import EvaluationBudget, check
+from airhockey_marl.evaluation.league_metrics import EvaluationBudget, check_league
 from airhockey_marl.evaluation.league_report import LAYOUT, TAGS, log_to_tensorboard, summary, write_report
 from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.evaluation.ratings import read_matches
@@ -40,26 +40,26 @@ def main(cfg: DictConfig) -> None:
         run = Path(cfg.run)
         league = League.load(run / "league.safetensors")
         matches = read_matches(run / "matches.csv") if (run / "matches.csv").is_file() else None
-        check(league, matches)
+        check_league(league, matches)
         card = read_card(run / "card.json", league.hashes)
         if cfg.exploit_generations and "config" not in card:
             raise InputError(f"exploit_generations = {cfg.exploit_generations} needs a finished run: {run} has no card")
     torch.set_num_threads(cfg.threads)
     folder, progress = Path(HydraConfig.get().runtime.output_dir), ProgressBar()
-    effort = EvaluationBudget(cfg.every, cfg.rounds, cfg.match_rounds, cfg.save_tables, cfg.std_tables, cfg.std_seconds)
+    budget = EvaluationBudget(cfg.every, cfg.rounds, cfg.match_rounds, cfg.save_tables, cfg.std_tables, cfg.std_seconds)
     training = OmegaConf.create(card.get("config", {}))
     ticks = OmegaConf.select(training, "env.frame_skip", default=FRAME_SKIP)
     responses = None
     if cfg.exploit_generations:
-        how_long = (cfg.exploit_generations, cfg.match_rounds)
-        responses = best_response(training, league, len(league) - 1, *how_long, cfg.seed, progress)
-    found = write_report(folder, league, matches, card, effort, cfg.seed, responses, ticks, progress)
+        last, rounds = len(league) - 1, cfg.match_rounds
+        responses = best_response(training, league, last, cfg.exploit_generations, rounds, cfg.seed, progress)
+    metrics = write_report(folder, league, matches, card, budget, cfg.seed, responses, ticks, progress)
     progress.close()
     with open_writer(tensorboard_dir(folder)) as writer:
         log_run_header(writer, cfg, TAGS, LAYOUT)
-        log_to_tensorboard(writer, folder, found, card.get("steps", found.last))
-    for line in summary(found):
-        print(f"{line.outcome:>4}  {line.question}: {line.observed}")
+        log_to_tensorboard(writer, folder, metrics, card.get("steps", metrics.last))
+    for row in summary(metrics):
+        print(f"{row.outcome:>4}  {row.claim}: {row.observation}")
     print(f"report: {folder / 'league_report.html'}")
 
 

@@ -20,7 +20,6 @@ import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.algorithms.base import ALGORITHMS, Algorithm
 from airhockey_marl.experiment.command import (
     InputError,
     command,
@@ -33,11 +32,14 @@ from airhockey_marl.experiment.command import (
 from airhockey_marl.experiment.files import write_json
 from airhockey_marl.experiment.run_folder import lock_run_folder
 from airhockey_marl.experiment.tensorboard import log_final_scores
-from airhockey_marl.league.opponent_sampling import OPPONENT_SAMPLERS, OpponentSampler
-from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
-from airhockey_marl.self_play.collectors import CollectorConfig, RolloutWorkers
-from airhockey_marl.self_play.league_training import STATE, STRONGEST_SCRIPT, model_card, train_league
+from airhockey_marl.self_play.league_training import (
+    STATE_FILE,
+    STRONGEST_SCRIPT,
+    LeagueTraining,
+    model_card,
+    train_league,
+)
 
 
 def check(cfg: DictConfig) -> None:
@@ -51,7 +53,7 @@ def check(cfg: DictConfig) -> None:
     require_counts(cfg, "league.match_rounds", "league.match_every")
     require_device(cfg)
     require_counts(cfg, "seed", "shaping.generations", "pictures_every", least=0)
-    require_numbers(cfg, "gamma", "league.memory", at_most=1.0)
+    require_numbers(cfg, "gamma", "league.win_rate_decay", at_most=1.0)
     require_numbers(cfg, "env.round_seconds")
     require_numbers(cfg, *(f"shaping.{name}" for name in ("position", "velocity", "shot", "approach")), least=0.0)
     for whole, part in (("batch", "env.tables"), ("steps_per_generation", "batch"), ("env.tables", "league.opponents")):
@@ -59,8 +61,8 @@ def check(cfg: DictConfig) -> None:
             raise InputError(
                 f"{whole} = {OmegaConf.select(cfg, whole)} must be a multiple of {part} = {OmegaConf.select(cfg, part)}"
             )
-    for name in cfg.league.anchors:
-        SCRIPTED_PLAYERS.find(name, "league.anchors")
+    for name in cfg.league.scripted_players:
+        SCRIPTED_PLAYERS.find(name, "league.scripted_players")
 
 
 @command("train")
@@ -68,27 +70,23 @@ def main(cfg: DictConfig) -> float:
     """Train; for a sweeper, the last generation's share of decided rounds against the strongest script."""
     with report_input_errors():
         if cfg.resume is not None:
-            cfg = resumed_config(Path(cfg.resume), STATE, cfg)
+            cfg = resumed_config(Path(cfg.resume), STATE_FILE, cfg)
         check(cfg)
         torch.set_num_threads(cfg.threads)
         torch.manual_seed(cfg.seed)
-        policy = GaussianPolicy(cfg.hidden, cfg.inputs).to(cfg.compute)
-        algorithm: Algorithm = ALGORITHMS.build(cfg.algorithm, "algorithm")
-        sampler: OpponentSampler = OPPONENT_SAMPLERS.build(cfg.league.sampler, "league.sampler")
-        learner = algorithm.learner(policy, cfg.gamma)
-        crew = RolloutWorkers(CollectorConfig(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)
+        training = LeagueTraining(cfg)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    with closing(crew), lock_run_folder(folder, "run"):
-        league, seconds = train_league(cfg, folder, policy, learner, crew, sampler)
+    with closing(training.trainer.workers), lock_run_folder(folder, "run"):
+        train_league(training, folder)
         made_by = " ".join(["python -m airhockey_marl.train", *HydraConfig.get().overrides.task])
-        facts = model_card(cfg, league)
-        write_json(folder / "card.json", {"command": made_by, "seconds": round(seconds, 1), **facts})
-        scores = facts["win_rate_of_last_against"]
+        card = model_card(cfg, training.league)
+        write_json(folder / "card.json", {"command": made_by, "seconds": round(training.seconds, 1), **card})
+        scores = card["win_rate_of_last_against"]
         # the page shows the first five by name until it is asked for others: the scripts come first
         shown = {
             f"{'against' if name in SCRIPTED_PLAYERS else 'generation'}_{name}": rate for name, rate in scores.items()
         }
-        log_final_scores(folder, cfg, shown, facts["steps"])
+        log_final_scores(folder, cfg, shown, card["steps"])
     return scores[STRONGEST_SCRIPT]
 
 

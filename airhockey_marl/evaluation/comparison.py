@@ -1,11 +1,7 @@
-"""Compare algorithms by the leagues they trained: how they play against scripts, their beginnings, and each other.
+"""Comparison of algorithms: win rates of their leagues against scripts, their generation 0, and each other.
 
-    python -m airhockey_marl.train -m algorithm=trpo,ppo,sac seed=0,1,2     nine runs, one after another
-    airhockey compare runs=outputs/train/<date>/<time>-sweep
-
-Of each run, five generations (the first, the last and the quarters between) play the scripted anchors and their own
-generation 0; and the last generations of all runs play each other. All sample their actions, as in training. Writes
-comparison.csv, a row per match and side, and comparison.png into its run folder, and prints a table.
+Of each run, five generations (the first, the last and the quarters between) play scripted players and the run's
+generation 0; and the last generations of all runs play each other. All players sample their actions, as in training.
 """
 
 from __future__ import annotations
@@ -22,7 +18,7 @@ import torch
 from omegaconf import OmegaConf
 from torch import nn
 
-from airhockey_marl.evaluation.matches import MatchResult, play_matches
+from airhockey_marl.evaluation.matches import RESULT_COLUMNS, MatchResult, play_matches
 from airhockey_marl.experiment.command import ProgressBar
 from airhockey_marl.experiment.config import read_config
 from airhockey_marl.experiment.plotting import (
@@ -42,10 +38,9 @@ from airhockey_marl.players.players import stochastic
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-LEAGUE, CARD, CONFIG = "league.safetensors", "card.json", ".hydra/config.yaml"
-SCRIPTS, BEGINNING = ("defender", "striker"), "generation 0"
-COUNTS = list(MatchResult._fields)
-TABLES = 100  # side by side in a match, where it has as many rounds
+LEAGUE_FILE, CARD_FILE, CONFIG_FILE = "league.safetensors", "card.json", ".hydra/config.yaml"
+SCRIPTS, GENERATION_0 = ("defender", "striker"), "generation 0"
+MAX_TABLES = 100  # side by side in a match; more rounds are played one after another
 STYLES = ((BLUE, "o"), (ORANGE, "s"), (GREEN, "^"), (PINK, "D"), (YELLOW, "v"), (SKY, "P"))  # color and marker
 
 
@@ -54,10 +49,10 @@ class Run:
     """A finished training run.
 
     Attributes:
-        algorithm: the name of the class that trained it, such as TRPO.
-        steps: of play in which one generation learned.
-        seconds: that the training took, as its card has it.
-        frame_skip: for how many ticks its players hold a decision.
+        algorithm: the name, such as TRPO.
+        steps: of training per generation.
+        seconds: of the whole training, from its card.
+        frame_skip: ticks for which an action is held.
     """
 
     folder: Path
@@ -75,41 +70,42 @@ class Run:
 
 
 def read_run(folder: Path) -> Run:
-    """Read a run's folder.
+    """Read the folder of a finished training run.
 
     Raises:
-        ValueError: it is not that of a finished training run; says what is amiss.
+        ValueError: a file or a setting is missing or broken; names it.
     """
-    for name in (CARD, CONFIG):
+    for name in (CARD_FILE, CONFIG_FILE):
         if not (folder / name).is_file():
             raise ValueError(f"runs: {folder} is not a finished training run: it has no {name}")
     try:
-        card = json.loads((folder / CARD).read_text(encoding="utf-8"))
-        cfg = read_config(folder / CONFIG)
+        card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
+        cfg = read_config(folder / CONFIG_FILE)
     except json.JSONDecodeError as error:
         raise ValueError(f"runs: {folder}: {error}") from error
-    wanted = ("algorithm.name", "seed", "steps_per_generation", "env.frame_skip")
-    settings = [OmegaConf.select(cfg, key) for key in wanted]
-    absent = [key for key, value in zip(wanted, settings, strict=True) if value is None]
-    if absent or "seconds" not in card:
-        raise ValueError(f"runs: {folder} does not tell {', '.join(absent or ['seconds'])}")
+    keys = ("algorithm.name", "seed", "steps_per_generation", "env.frame_skip")
+    settings = [OmegaConf.select(cfg, key) for key in keys]
+    missing = [key for key, value in zip(keys, settings, strict=True) if value is None]
+    if missing or "seconds" not in card:
+        raise ValueError(f"runs: {folder} has no {', '.join(missing or ['seconds'])}")
     name, seed, steps, frame_skip = settings
-    league = League.load(folder / LEAGUE)
+    league = League.load(folder / LEAGUE_FILE)
     return Run(folder, name.upper(), seed, league, steps, card["seconds"], frame_skip)
 
 
 def check_runs(runs: Sequence[Run]) -> None:
-    """Refuse runs that cannot be compared.
+    """Raise if runs cannot be compared.
 
     Raises:
-        ValueError: an algorithm has the same seed twice, or decisions are not held alike; says where.
+        ValueError: an algorithm has the same seed twice, or runs differ in `frame_skip`; names the folders.
     """
     for one, other in itertools.combinations(runs, 2):
         if (one.algorithm, one.seed) == (other.algorithm, other.seed):
             raise ValueError(f"runs: {one.algorithm} with seed {one.seed} twice, in {one.folder} and {other.folder}")
         if one.frame_skip != other.frame_skip:
             raise ValueError(
-                f"runs: decisions last {one.frame_skip} ticks in {one.folder}, {other.frame_skip} in {other.folder}"
+                f"runs: env.frame_skip = {one.frame_skip} in {one.folder}, {other.frame_skip} in {other.folder}, "
+                "must be equal"
             )
 
 
@@ -117,70 +113,71 @@ def compare(runs: Sequence[Run], rounds: int, seed: int) -> pd.DataFrame:
     """Play all matches.
 
     Args:
-        runs: what `check_runs` has passed.
+        runs: checked by `check_runs`.
         rounds: of each match.
 
     Returns:
-        A row per match and run in it: algorithm, seed, generation, steps (of its training until then), opponent
+        A row per match and run in it: algorithm, seed, generation, steps (of training until this generation), opponent
         (a script, "generation 0" of the same run, or an algorithm, whose last generation it is), opponent_seed (of
         an algorithm), won, lost, undecided (rounds), seconds (of the whole run's training).
     """
     rows, progress = [], ProgressBar()
 
-    def note(run: Run, generation: int, opponent: str, opponent_seed: int | None, counts: Sequence[int]) -> None:
-        who = {"algorithm": run.algorithm, "seed": run.seed, "generation": generation, "steps": generation * run.steps}
-        whom = {"opponent": opponent, "opponent_seed": opponent_seed}
-        rows.append({**who, **whom, **dict(zip(COUNTS, counts, strict=True)), "seconds": run.seconds})
+    def add_row(run: Run, generation: int, opponent: str, opponent_seed: int | None, result: MatchResult) -> None:
+        player = {"algorithm": run.algorithm, "seed": run.seed, "generation": generation}
+        match = {"steps": generation * run.steps, "opponent": opponent, "opponent_seed": opponent_seed}
+        rows.append({**player, **match, **result.as_row(), "seconds": run.seconds})
 
-    for done, run in enumerate(runs):
+    for done, run in enumerate(runs, 1):
         generations = sorted({run.last * quarter // 4 for quarter in range(5)})
         matches = list(itertools.product(generations, [*SCRIPTS, 0]))
-        left, right = (run.league.lineup(members) for members in zip(*matches, strict=True))
-        scores = play(left, right, len(matches), rounds, seed, run.frame_skip)
-        for (generation, opponent), counts in zip(matches, scores, strict=True):
-            note(run, generation, opponent or BEGINNING, None, counts)
-        progress("against scripts and beginnings", (done + 1) / len(runs))
+        left, right = (run.league.opponent_batch(player_ids) for player_ids in zip(*matches, strict=True))
+        results = play(left, right, len(matches), rounds, seed, run.frame_skip)
+        for (generation, opponent), result in zip(matches, results, strict=True):
+            add_row(run, generation, opponent or GENERATION_0, None, result)
+        progress("against scripts and generation 0", done / len(runs))
     pairs = list(itertools.combinations(runs, 2))
-    for done, (one, other) in enumerate(pairs):
+    for done, (one, other) in enumerate(pairs, 1):
         left, right = (run.league.player(run.last) for run in (one, other))
-        [(won, lost, undecided)] = play(left, right, 1, rounds, seed, one.frame_skip)
-        note(one, one.last, other.algorithm, other.seed, (won, lost, undecided))
-        note(other, other.last, one.algorithm, one.seed, (lost, won, undecided))
-        progress("against each other", (done + 1) / len(pairs))
+        [result] = play(left, right, 1, rounds, seed, one.frame_skip)
+        add_row(one, one.last, other.algorithm, other.seed, result)
+        add_row(other, other.last, one.algorithm, one.seed, MatchResult(result.losses, result.wins, result.draws))
+        progress("against each other", done / len(pairs))
     progress.close()
     return pd.DataFrame(rows).astype({"opponent_seed": "Int64"})
 
 
 def play(left: nn.Module, right: nn.Module, matches: int, rounds: int, seed: int, frame_skip: int) -> list[MatchResult]:
-    """Matches side by side, of `rounds` rounds each, between policies that sample their actions.
+    """Play matches side by side, of `rounds` rounds each, between policies that sample their actions.
 
     Args:
-        left, right: observations to (mean, STD); line-ups of as many members as there are matches, or for one match
-            two models.
+        left, right: observations to (mean, STD): batches of as many players as there are matches, or one policy each.
 
     Returns:
-        For each match, how the left one fared.
+        The results of the left players.
     """
     generator = torch.Generator().manual_seed(seed)
-    each = -(-rounds // TABLES)
+    rounds_per_table = -(-rounds // MAX_TABLES)
+    tables = -(-rounds // rounds_per_table)
     players = (stochastic(policy, generator) for policy in (left, right))
-    return play_matches(*players, matches, -(-rounds // each), each, seed, frame_skip=frame_skip)
+    return play_matches(*players, matches, tables, rounds_per_table, seed, frame_skip=frame_skip)
 
 
 def win_rates(results: pd.DataFrame) -> pd.DataFrame:
-    """Shares of decided rounds that were won, by algorithm, seed, generation, steps and opponent of any seed."""
-    counts = results.groupby(["algorithm", "seed", "generation", "steps", "opponent"], as_index=False)[COUNTS].sum()
+    """Win rates among the decided rounds by algorithm, seed, generation, steps and opponent (of any seed)."""
+    keys = ["algorithm", "seed", "generation", "steps", "opponent"]
+    counts = results.groupby(keys, as_index=False)[list(RESULT_COLUMNS)].sum()
     return counts.assign(win_rate=counts["won"] / (counts["won"] + counts["lost"]))
 
 
 def screen_table(results: pd.DataFrame) -> str:
-    """The last generations' win rates, mean ± SD over seeds, as aligned text for a terminal."""
+    """The last generations' win rates, mean ± SD over seeds, as an aligned text table."""
     algorithms = sorted(results["algorithm"].unique())
     rates = win_rates(results)
     last = rates[rates["generation"] == rates.groupby(["algorithm", "seed"])["generation"].transform("max")]
     runs = results.groupby(["algorithm", "seed"]).agg({"steps": "max", "seconds": "first"})
     speeds = runs["steps"] / runs["seconds"]
-    opponents = [*SCRIPTS, BEGINNING, *algorithms]
+    opponents = [*SCRIPTS, GENERATION_0, *algorithms]
     cells = [["win rate against", "seeds", *opponents, "frames/s"]]
     for algorithm in algorithms:
         own = last[last["algorithm"] == algorithm]
@@ -195,7 +192,7 @@ def screen_table(results: pd.DataFrame) -> str:
 
 
 def _spread(values: pd.Series, digits: int) -> str:
-    """Mean ± SD; the mean alone of a single value, a dash without any."""
+    """Mean ± SD; without SD for a single value, a dash for none."""
     values = values.dropna()
     if values.empty:
         return "–"
@@ -211,7 +208,7 @@ def comparison_figure(results: pd.DataFrame) -> Figure:
     panels = figure.subplots(1, len(SCRIPTS) + 1, sharey=True)
     algorithms, rates = sorted(results["algorithm"].unique()), win_rates(results)
     styles = dict(zip(algorithms, itertools.cycle(STYLES), strict=False))
-    for axes, opponent in zip(panels, [*SCRIPTS, BEGINNING], strict=True):
+    for axes, opponent in zip(panels, [*SCRIPTS, GENERATION_0], strict=True):
         for algorithm, (color, mark) in styles.items():
             own = rates[(rates["algorithm"] == algorithm) & (rates["opponent"] == opponent)]
             for _, seed in own.groupby("seed"):

@@ -36,7 +36,8 @@ from airhockey_marl.experiment.plotting import (
     percent,
     style_axes,
 )
-from airhockey_marl.league.league import League, PlayerId
+from airhockey_marl.league.league import League
+from airhockey_marl.league.opponent_batch import PlayerId
 from airhockey_marl.players.players import stochastic
 from airhockey_marl.players.rollout import rollout
 
@@ -140,7 +141,7 @@ def matches_figure(matches: pd.DataFrame, window: int = 5) -> Figure:
     """Win rate of each generation, when it was the newest, against scripts and earlier generations: raw and smoothed.
 
     Args:
-        matches: see `ratings.MATCHES`.
+        matches: see `ratings.MATCH_COLUMNS`.
         window: generations over which the line is smoothed.
     """
     generations = sorted({m for m in matches["opponent"] if not isinstance(m, str)})
@@ -173,7 +174,7 @@ def win_rates_figure(matches: pd.DataFrame) -> Figure:
     """Heat map of win rates: a column per generation, when it was the newest, and a row per opponent.
 
     Args:
-        matches: see `ratings.MATCHES`.
+        matches: see `ratings.MATCH_COLUMNS`.
     """
     from matplotlib.ticker import MaxNLocator
 
@@ -273,7 +274,7 @@ def film(
     Both sample, as in training, with random numbers of their own that follow from the seed.
     """
     left, right = (
-        stochastic(league.lineup([member]), torch.Generator().manual_seed(seed + seat))
+        stochastic(league.opponent_batch([member]), torch.Generator().manual_seed(seed + seat))
         for seat, member in enumerate(members)
     )
     world = World(1)

@@ -1,7 +1,8 @@
-"""What there is to find out about a league: who beats whom, ratings, saves, and whether the STD means anything."""
+"""The evaluation of a league: payoff matrix, ratings, saves, and the STD of the last generation by situation."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from enum import IntEnum
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -9,42 +10,53 @@ import numpy as np
 import pandas as pd
 import torch
 
-from airhockey_marl.evaluation.matches import FRAME_SKIP, MatchResult
-from airhockey_marl.evaluation.policy_std import record, smoothness, std_by_situation, std_map
+from airhockey_marl.evaluation.matches import FRAME_SKIP, RESULT_COLUMNS, MatchResult
+from airhockey_marl.evaluation.policy_std import record_trajectories, smoothness, std_by_situation, std_map
 from airhockey_marl.evaluation.ratings import (
-    MATCHES,
     GoodnessOfFit,
     Proportion,
     RatingDifference,
-    bradley_terry,
     goodness_of_fit,
     payoff,
     play_pairs,
     rating_differences,
     ratings_of_matches,
+    ratings_table,
     wins_of_matches,
 )
 from airhockey_marl.evaluation.saves import count_saves
-from airhockey_marl.league.league import League, PlayerId
+from airhockey_marl.league.league import League
+from airhockey_marl.league.opponent_batch import PlayerId
 from airhockey_marl.players.players import Player, stochastic
 from airhockey_marl.players.scripted import REFERENCE_PLAYERS
 
-MILESTONES = (0, 25, 50)  # the last generation is measured against these; in shorter leagues against its quarters
-LATER_THAN, BELOW = 20, 10  # no generation after 20 should be rated below generation 10
-ATTACKER, KEEPER = "striker", "defender"  # who shoots at the last generation, and who is asked for the same saves
-OTHER_ROUNDS = 1_000_000  # between the seeds of the matrix and of the rest
+BENCHMARK_GENERATIONS = (0, 25, 50)  # opponents of the last generation; in shorter leagues its quarters
+REGRESSION_FROM, REGRESSION_REFERENCE = 20, 10  # no generation after 20 should be rated below generation 10
+ATTACKER, DEFENDER = "striker", "defender"  # shoots at the last generation; the script whose saves are compared
+SEED_OFFSET = 1_000_000  # between the seeds of the payoff matrix, one per table, and of everything else
+PAYOFF_TABLES, MATCH_TABLES = 10, 50  # at most, for each pair of the payoff matrix and for each match
+SAVES_ROUND_SECONDS = 30.0  # s, of play at each table where saves are counted
+
+
+class RandomStream(IntEnum):
+    """The players whose actions have random generators of their own, seeded with seed + `SEED_OFFSET` + stream."""
+
+    DEFENDING = 1
+    ATTACKING = 2
+    OPPOSING = 3
 
 
 @dataclass(frozen=True)
 class EvaluationBudget:
-    """How much is played for a report.
+    """The amount of play for a report.
 
     Attributes:
-        every: every so many generations are in the payoff matrix, beside the milestones, the last and the anchors.
-        rounds: between each two of the matrix.
-        match_rounds: of the last generation against each milestone and the strongest anchor.
-        save_tables: where saves are counted, 30 s at each, for either keeper.
-        std_tables, std_seconds: of play in which the STD is measured.
+        every: of the generations, every so many are in the payoff matrix, beside the benchmark generations, the last
+            one and the scripted players.
+        rounds: between each two players of the matrix.
+        match_rounds: of the last generation against each benchmark generation and the strongest script.
+        save_tables: where saves are counted, for `SAVES_ROUND_SECONDS` each, for the last generation and the script.
+        std_tables, std_seconds: tables where the STD is measured, and seconds of play at each.
     """
 
     every: int
@@ -56,186 +68,208 @@ class EvaluationBudget:
 
 
 class Regressions(NamedTuple):
-    """Generations after `LATER_THAN` rated below `BELOW`.
+    """Generations after `REGRESSION_FROM` rated below `REGRESSION_REFERENCE`.
 
     Attributes:
-        below: each with how far it is above, which is less than nothing.
-        of: how many generations after `LATER_THAN` are rated.
+        below: their rating differences to the reference, all negative.
+        total: rated generations after `REGRESSION_FROM`.
     """
 
     below: dict[int, RatingDifference]
-    of: int
+    total: int
 
     @property
-    def clear(self) -> list[int]:
-        """Those for which the interval of the difference says so too."""
-        return [member for member, gain in self.below.items() if gain.high < 0]
+    def significant(self) -> list[int]:
+        """Those below the reference by more than the 95 % interval of the difference."""
+        return [generation for generation, difference in self.below.items() if difference.high < 0]
 
 
 @dataclass(frozen=True)
 class LeagueMetrics:
-    """What was measured. Shares carry 95 % intervals, ratings are in Elo points above generation 0.
+    """The metrics of a league. Proportions have 95 % intervals; ratings are in Elo points above generation 0.
 
     Attributes:
-        members, score: of the payoff matrix, (k, k, 3); see `ratings.payoff`.
+        player_ids, score: of the payoff matrix, (k, k, 3); see `ratings.payoff`.
         ratings: from the matrix; columns member, rating, low, high.
-        misfit: of these ratings to the matrix.
-        middle, growth: the generation of the matrix in the middle of the league, and how far the last is above it.
-        above_strongest: how far the last is above the strongest anchor.
-        kept: ratings from the matches kept during training, or None.
-        against: what the last generation wins against each milestone and the strongest anchor.
-        strongest: the anchor rated highest in the matrix.
-        fallen, kept_fallen: by the ratings from the matrix, and from the matches kept. The matrix is the better judge
-            but has not everybody: there all have met the same, whereas in the matches a generation that is a reference
-            has met all those after it, the others only references. Unless strength is one number, that makes its
-            rating hard to compare.
-        saves: save rates of the last generation and of the scripted keeper.
-        std, maps: see `std_by_situation.precision` and `std_by_situation.std_map`: for a puck that comes, and for one that goes.
-        smoothness: of the last generation and of the strongest anchor, both against the last generation.
-        best_response: after so many steps of learning, what it wins against the last generation; None if untried.
+        goodness_of_fit: of these ratings to the matrix.
+        midpoint, gain_since_midpoint: the generation in the middle of the league, and the last one's rating above it.
+        lead_over_script: the last generation's rating above the strongest script.
+        training_ratings: from the matches of the training, or None.
+        win_rates: of the last generation against each benchmark generation and the strongest script.
+        strongest_script: the scripted player rated highest in the matrix.
+        regressions, training_regressions: by the ratings from the matrix, and from the matches of the training. The
+            matrix has fewer generations but is fairer: all its players met the same opponents. In training the
+            reference opponents met all later generations, the others met the reference opponents only.
+        saves: save rates of the last generation and of the scripted defender.
+        std, std_maps: see `policy_std.std_by_situation` and `policy_std.std_map`: approaching puck, other puck.
+        smoothness: of the last generation and of the strongest script, both against the last generation.
+        best_response: the win rate against the last generation after so many steps of training; None if not tried.
     """
 
-    members: list[PlayerId]
+    player_ids: list[PlayerId]
     score: np.ndarray
     ratings: pd.DataFrame
-    misfit: GoodnessOfFit
-    middle: int
-    growth: RatingDifference
-    above_strongest: RatingDifference
-    kept: pd.DataFrame | None
-    against: dict[PlayerId, Proportion]
-    strongest: str
-    fallen: Regressions
-    kept_fallen: Regressions | None
+    goodness_of_fit: GoodnessOfFit
+    midpoint: int
+    gain_since_midpoint: RatingDifference
+    lead_over_script: RatingDifference
+    training_ratings: pd.DataFrame | None
+    win_rates: dict[PlayerId, Proportion]
+    strongest_script: str
+    regressions: Regressions
+    training_regressions: Regressions | None
     saves: dict[str, Proportion]
     std: pd.DataFrame
-    maps: tuple[np.ndarray, np.ndarray]
+    std_maps: tuple[np.ndarray, np.ndarray]
     smoothness: dict[str, dict[str, float]]
     best_response: list[tuple[int, Proportion]] | None
 
     @property
     def last(self) -> int:
         """The newest generation."""
-        return max(member for member in self.members if not isinstance(member, str))
+        return max(generations_of(self.player_ids))
 
     def payoff_table(self) -> pd.DataFrame:
         """The matrix as rows member, opponent, won, lost, undecided."""
         rows = [
-            (member, opponent, *self.score[row, column].tolist())
-            for row, member in enumerate(self.members)
-            for column, opponent in enumerate(self.members)
+            (player, opponent, *self.score[row, column].tolist())
+            for row, player in enumerate(self.player_ids)
+            for column, opponent in enumerate(self.player_ids)
             if row != column
         ]
-        return pd.DataFrame(rows, columns=["member", "opponent", *MATCHES[2:]])
+        return pd.DataFrame(rows, columns=["member", "opponent", *RESULT_COLUMNS])
 
     def ratings_table(self) -> pd.DataFrame:
-        """All ratings; the column `source` says whether they are from the matrix or from the matches kept."""
-        sources = {"payoff": self.ratings, "matches": self.kept}
+        """All ratings; the column `source` is "payoff" for the matrix, "matches" for the matches of the training."""
+        sources = {"payoff": self.ratings, "matches": self.training_ratings}
         return pd.concat([table.assign(source=name) for name, table in sources.items() if table is not None])
 
     def as_dict(self) -> dict[str, Any]:
-        """Plain values for JSON, without the matrix and the maps; what is not a number is None."""
-        without = {"score", "maps"}
-        return _plain({name: value for name, value in vars(self).items() if name not in without})
+        """Values for JSON, without the matrix and the maps; None in place of NaN and inf."""
+        return _json_values({name: value for name, value in vars(self).items() if name not in ("score", "std_maps")})
 
 
-def milestones(last: int) -> list[int]:
-    """The generations that the last one is measured against."""
-    return list(MILESTONES) if last > MILESTONES[-1] else sorted({0, last // 4, last // 2, 3 * last // 4} - {last})
+def generations_of(player_ids: Sequence[PlayerId]) -> list[int]:
+    """The generations among some players, without the scripted ones."""
+    return [player for player in player_ids if not isinstance(player, str)]
 
 
-def members_of_matrix(generations: int, every: int) -> list[PlayerId]:
-    """Who is in the payoff matrix of a league of so many generations; see `EvaluationBudget.every`."""
+def benchmark_generations(last: int) -> list[int]:
+    """The generations that the last one plays for its win rates."""
+    if last > BENCHMARK_GENERATIONS[-1]:
+        return list(BENCHMARK_GENERATIONS)
+    return sorted({0, last // 4, last // 2, 3 * last // 4} - {last})
+
+
+def payoff_players(generations: int, every: int) -> list[PlayerId]:
+    """The players in the payoff matrix of a league with so many generations; see `EvaluationBudget.every`."""
     last = generations - 1
-    chosen = {*range(0, generations, every), *milestones(last), last, *([BELOW] if last > LATER_THAN else [])}
-    return [*sorted(chosen), *REFERENCE_PLAYERS]
+    chosen = {*range(0, generations, every), *benchmark_generations(last), last}
+    return [*sorted(chosen | ({REGRESSION_REFERENCE} if last > REGRESSION_FROM else set())), *REFERENCE_PLAYERS]
 
 
-def check(league: League, matches: pd.DataFrame | None) -> None:
-    """Refuse what cannot be reported.
+def check_league(league: League, matches: pd.DataFrame | None) -> None:
+    """Raise if a league cannot be evaluated.
 
     Raises:
-        ValueError: the league has fewer than two generations, or `matches` are of members that it does not have.
+        ValueError: it has one generation only, or a player in the matches is not in the league.
     """
     if len(league) < 2:
         raise ValueError("a league of one generation has nothing to report, it must have at least 2")
     if matches is not None:
-        league.lineup(list({*matches["generation"], *matches["opponent"]}))
+        league.opponent_batch(list({*matches["generation"], *matches["opponent"]}))
 
 
 def evaluate_league(
     league: League,
     matches: pd.DataFrame | None,
-    effort: EvaluationBudget,
+    budget: EvaluationBudget,
     seed: int,
     best_response: Sequence[tuple[int, MatchResult]] | None = None,
     frame_skip: int = FRAME_SKIP,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Callable[[str, float], None] = lambda phase, fraction: None,
 ) -> LeagueMetrics:
-    """Play all that the report needs; see `write_report`."""
-    check(league, matches)
-    tell = progress or (lambda phase, share: None)
-    last, members = len(league) - 1, members_of_matrix(len(league), effort.every)
-    score = payoff(league, members, effort.rounds, seed, 10, frame_skip, partial(tell, "payoff matrix"))
-    wins, place = score[..., 0], {member: i for i, member in enumerate(members)}
-    ratings = pd.DataFrame({"member": pd.Series(members, dtype=object), **bradley_terry(wins, 0)._asdict()})
-    strongest = max(REFERENCE_PLAYERS, key=lambda name: ratings["rating"][place[name]])
-    middle = min((m for m in members if not isinstance(m, str)), key=lambda m: abs(m - last / 2))
-    rivals, other = [*milestones(last), strongest], seed + OTHER_ROUNDS
-    pairs = [(last, rival) for rival in rivals]
-    met = play_pairs(league, pairs, effort.match_rounds, other, 50, frame_skip, partial(tell, "matches"))
-    kept = None if matches is None or matches.empty else ratings_of_matches(matches)
+    """Play all that the metrics need; see `league_report.write_report` for the arguments."""
+    check_league(league, matches)
+    has_matches = matches is not None and not matches.empty
+    last, player_ids, other_seed = len(league) - 1, payoff_players(len(league), budget.every), seed + SEED_OFFSET
+    score = payoff(
+        league, player_ids, budget.rounds, seed, PAYOFF_TABLES, frame_skip, partial(progress, "payoff matrix")
+    )
+    wins, ratings = score[..., 0], ratings_table(player_ids, score[..., 0], 0)
+    rating_of = dict(zip(player_ids, ratings["rating"], strict=True))
+    strongest = max(REFERENCE_PLAYERS, key=lambda name: rating_of[name])
+    midpoint = min(generations_of(player_ids), key=lambda generation: abs(generation - last / 2))
+    opponents = [*benchmark_generations(last), strongest]
+    pairs = [(last, opponent) for opponent in opponents]
+    results = play_pairs(
+        league, pairs, budget.match_rounds, other_seed, MATCH_TABLES, frame_skip, partial(progress, "matches")
+    )
 
-    def player(member: PlayerId, stream: int) -> Player:
-        return stochastic(league.lineup([member]), torch.Generator().manual_seed(other + stream))
+    def player(player_id: PlayerId, stream: RandomStream) -> Player:
+        generator = torch.Generator().manual_seed(other_seed + stream)
+        return stochastic(league.opponent_batch([player_id]), generator)
 
-    saves, play = {}, {}
-    for done, member in enumerate((last, KEEPER)):
-        tell("saves", done / 2)
-        counted = count_saves(player(member, 1), player(ATTACKER, 2), effort.save_tables, other, 30.0, frame_skip)
-        saves["last" if member == last else member] = Proportion.of(counted.blocked, sum(counted))
-    for done, member in enumerate((last, strongest)):
-        tell("STD", done / 2)
-        its, where = league.lineup([member]), (effort.std_tables, effort.std_seconds)
-        play[member] = record(its, player(last, 3), *where, other, frame_skip=frame_skip)
+    saves, trajectories = {}, {}
+    for done, (name, player_id) in enumerate({"last": last, DEFENDER: DEFENDER}.items()):
+        progress("saves", done / 2)
+        players = player(player_id, RandomStream.DEFENDING), player(ATTACKER, RandomStream.ATTACKING)
+        counts = count_saves(*players, budget.save_tables, other_seed, SAVES_ROUND_SECONDS, frame_skip)
+        saves[name] = Proportion.from_counts(counts.blocked, sum(counts))
+    for done, (name, player_id) in enumerate({"last": last, strongest: strongest}.items()):
+        progress("STD", done / 2)
+        trajectories[name] = record_trajectories(
+            league.opponent_batch([player_id]),
+            player(last, RandomStream.OPPOSING),
+            budget.std_tables,
+            budget.std_seconds,
+            other_seed,
+            frame_skip=frame_skip,
+        )
     return LeagueMetrics(
-        members=members,
+        player_ids=player_ids,
         score=score,
         ratings=ratings,
-        misfit=goodness_of_fit(wins, ratings["rating"].to_numpy()),
-        middle=middle,
-        growth=rating_differences(members, wins, middle)[last],
-        above_strongest=rating_differences(members, wins, strongest)[last],
-        kept=kept,
-        against={rival: Proportion.of(won, won + lost) for rival, (won, lost, _) in zip(rivals, met, strict=True)},
-        strongest=strongest,
-        fallen=find_regressions(members, wins),
-        kept_fallen=None if kept is None else find_regressions(*wins_of_matches(matches)),
+        goodness_of_fit=goodness_of_fit(wins, ratings["rating"].to_numpy()),
+        midpoint=midpoint,
+        gain_since_midpoint=rating_differences(player_ids, wins, midpoint)[last],
+        lead_over_script=rating_differences(player_ids, wins, strongest)[last],
+        training_ratings=ratings_of_matches(matches) if has_matches else None,
+        win_rates={opponent: _win_rate(*row[:2]) for opponent, row in zip(opponents, results.tolist(), strict=True)},
+        strongest_script=strongest,
+        regressions=find_regressions(player_ids, wins),
+        training_regressions=find_regressions(*wins_of_matches(matches)) if has_matches else None,
         saves=saves,
-        std=std_by_situation(play[last], other),
-        maps=(std_map(play[last], toward=True), std_map(play[last], toward=False)),
-        smoothness={"last" if member == last else member: smoothness(games) for member, games in play.items()},
+        std=std_by_situation(trajectories["last"], other_seed),
+        std_maps=tuple(std_map(trajectories["last"], approaching) for approaching in (True, False)),
+        smoothness={name: smoothness(recorded) for name, recorded in trajectories.items()},
         best_response=best_response
-        and [(steps, Proportion.of(result.won, result.won + result.lost)) for steps, result in best_response],
+        and [(steps, _win_rate(result.wins, result.losses)) for steps, result in best_response],
     )
 
 
-def find_regressions(members: Sequence[PlayerId], wins: np.ndarray) -> Regressions:
-    """The `Regressions` by the ratings of these wins; of nobody if `BELOW` is not among the members."""
-    rated = rating_differences(members, wins, BELOW) if BELOW in members else {}
-    later = {member: gain for member, gain in rated.items() if not isinstance(member, str) and member > LATER_THAN}
-    return Regressions({member: gain for member, gain in later.items() if gain.value < 0}, len(later))
+def find_regressions(player_ids: Sequence[PlayerId], wins: np.ndarray) -> Regressions:
+    """The `Regressions` by the ratings of these wins (k, k); none if the reference is not among the players."""
+    if REGRESSION_REFERENCE not in player_ids:
+        return Regressions({}, 0)
+    differences = rating_differences(player_ids, wins, REGRESSION_REFERENCE)
+    later = {g: differences[g] for g in generations_of(player_ids) if g > REGRESSION_FROM}
+    return Regressions({g: difference for g, difference in later.items() if difference.value < 0}, len(later))
 
 
-def _plain(value: Any) -> Any:
-    """The same without tables, NumPy's types and named tuples; numbers that are none become None."""
+def _win_rate(wins: int, losses: int) -> Proportion:
+    return Proportion.from_counts(wins, wins + losses)
+
+
+def _json_values(value: Any) -> Any:
+    """A value without data frames, NumPy's types and named tuples; None in place of NaN and inf."""
     if isinstance(value, pd.DataFrame):
-        return _plain(value.to_dict("records"))
+        return _json_values(value.to_dict("records"))
     if hasattr(value, "_asdict"):
-        return _plain(value._asdict())
+        return _json_values(value._asdict())
     if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
+        return {str(key): _json_values(inner) for key, inner in value.items()}
     if isinstance(value, list | tuple):
-        return [_plain(inner) for inner in value]
+        return [_json_values(inner) for inner in value]
     value = value.item() if isinstance(value, np.generic) else value
     return None if isinstance(value, float) and not np.isfinite(value) else value

@@ -1,7 +1,4 @@
-"""The report of a league: who beats whom, ratings, saves, and whether the STD means anything; figures and a page.
-
-`write_report` has a league measured, and writes. What the page says follows from the numbers, whichever way they fall.
-"""
+"""The report of a league: metrics, figures, and a page whose sentences follow from the numbers."""
 
 from __future__ import annotations
 
@@ -18,12 +15,13 @@ from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.evaluation import figures
 from airhockey_marl.evaluation.league_metrics import (
     ATTACKER,
-    BELOW,
-    KEEPER,
-    LATER_THAN,
+    DEFENDER,
+    REGRESSION_FROM,
+    REGRESSION_REFERENCE,
     EvaluationBudget,
     LeagueMetrics,
     evaluate_league,
+    generations_of,
 )
 from airhockey_marl.evaluation.matches import FRAME_SKIP, MatchResult
 from airhockey_marl.evaluation.policy_std import FAR, SAVE_SECONDS, STRIKE_SECONDS
@@ -57,60 +55,60 @@ def write_report(
     league: League,
     matches: pd.DataFrame | None,
     card: Mapping[str, Any],
-    effort: EvaluationBudget,
+    budget: EvaluationBudget,
     seed: int,
     best_response: Sequence[tuple[int, MatchResult]] | None = None,
     frame_skip: int = FRAME_SKIP,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Callable[[str, float], None] = lambda phase, fraction: None,
 ) -> LeagueMetrics:
-    """Measure a league and write league_report.html and .json, payoff.csv, ratings.csv, the figures and match.gif.
+    """Evaluate a league and write league_report.html and .json, payoff.csv, ratings.csv, the figures and match.gif.
 
-    Every file is replaced whole; the page holds its style and its pictures and loads nothing. The same arguments give
-    the same bytes.
+    Files are replaced atomically. The page embeds its style and pictures and loads nothing. Equal arguments give equal
+    bytes.
 
     Args:
         folder: created if absent.
-        matches: those kept during training, see `ratings.MATCHES`; None if there are none.
-        card: what the league says of itself; shown as it is.
-        best_response: rounds won against the last generation by somebody who learned nothing but that, after so many
-            steps; None if it was not tried.
-        frame_skip: for which a decision is held, as it was in training.
-        progress: told the phase and the share of it that is done.
+        matches: of the training, see `ratings.MATCH_COLUMNS`; None if there are none.
+        card: the model card, shown on the page.
+        best_response: results against the last generation after so many steps of training against it only; None if
+            not tried.
+        frame_skip: ticks for which an action is held, as in the training.
+        progress: called with the phase and the fraction of it that is done.
 
     Raises:
-        ValueError: see `check`.
+        ValueError: see `league_metrics.check_league`.
     """
     folder = Path(folder)
-    found = evaluate_league(league, matches, effort, seed, best_response, frame_skip, progress)
-    film = figures.film(league, (found.last, found.strongest), seed, frame_skip=frame_skip)
-    pictures = draw(found, matches) | {"match.gif": film}
+    metrics = evaluate_league(league, matches, budget, seed, best_response, frame_skip, progress)
+    film = figures.film(league, (metrics.last, metrics.strongest_script), seed, frame_skip=frame_skip)
+    pictures = draw_figures(metrics, matches) | {"match.gif": film}
     for name, content in pictures.items():
         with atomic_write(folder / name) as path:
             path.write_bytes(content)
-    for name, table in (("payoff.csv", found.payoff_table()), ("ratings.csv", found.ratings_table())):
+    for name, table in (("payoff.csv", metrics.payoff_table()), ("ratings.csv", metrics.ratings_table())):
         with atomic_write(folder / name) as path:
             table.to_csv(path, index=False)
-    write_json(folder / "league_report.json", {"seed": seed, "effort": asdict(effort), **found.as_dict()})
-    write_text(folder / "league_report.html", page(found, pictures, card, effort, seed))
-    return found
+    write_json(folder / "league_report.json", {"seed": seed, "budget": asdict(budget), **metrics.as_dict()})
+    write_text(folder / "league_report.html", page(metrics, pictures, card, budget, seed))
+    return metrics
 
 
-def draw(found: LeagueMetrics, matches: pd.DataFrame | None) -> dict[str, bytes]:
+def draw_figures(metrics: LeagueMetrics, matches: pd.DataFrame | None) -> dict[str, bytes]:
     """The figures as PNG, by file name."""
-    drawn = {
-        "payoff.png": figures.payoff_figure(found.members, found.score),
-        "rating.png": figures.rating_figure(found.ratings, found.kept),
-        "precision.png": figures.precision_figure(found.std, found.maps, TableSpec()),
+    drawings = {
+        "payoff.png": figures.payoff_figure(metrics.player_ids, metrics.score),
+        "rating.png": figures.rating_figure(metrics.ratings, metrics.training_ratings),
+        "precision.png": figures.precision_figure(metrics.std, metrics.std_maps, TableSpec()),
     }
-    if found.kept is not None:
-        drawn["matches.png"] = figures.matches_figure(matches)
-    if found.best_response:
-        drawn["best_response.png"] = figures.best_response_figure(found.best_response)
-    return {name: png_bytes(figure) for name, figure in drawn.items()}
+    if metrics.training_ratings is not None:
+        drawings["matches.png"] = figures.matches_figure(matches)
+    if metrics.best_response:
+        drawings["best_response.png"] = figures.best_response_figure(metrics.best_response)
+    return {name: png_bytes(figure) for name, figure in drawings.items()}
 
 
-def log_to_tensorboard(writer: SummaryWriter, folder: Path | str, found: LeagueMetrics, step: int) -> None:
-    """Log a report that `write_report` has written to `folder`, with the tags of `TAGS`; NaN are left out.
+def log_to_tensorboard(writer: SummaryWriter, folder: Path | str, metrics: LeagueMetrics, step: int) -> None:
+    """Log a report that `write_report` has written to `folder`, with the tags of `TAGS`; NaN and inf are left out.
 
     Args:
         step: of the last generation; those of earlier ones are proportional to their numbers.
@@ -118,111 +116,117 @@ def log_to_tensorboard(writer: SummaryWriter, folder: Path | str, found: LeagueM
     scalars = [
         (f"rating/{row.member}", row.rating, step)
         if isinstance(row.member, str)
-        else ("rating/generation", row.rating, round(step * row.member / found.last))
-        for row in found.ratings.itertuples()
+        else ("rating/generation", row.rating, round(step * row.member / metrics.last))
+        for row in metrics.ratings.itertuples()
     ]
-    scalars += [(f"save_rate/{name}", share.value, step) for name, share in found.saves.items()]
-    scalars += [(f"std/{row.situation.replace(' ', '_')}", row.std, step) for row in found.std.itertuples()]
-    for name, value, when in scalars:
+    scalars += [(f"save_rate/{name}", save_rate.value, step) for name, save_rate in metrics.saves.items()]
+    scalars += [(f"std/{row.situation.replace(' ', '_')}", row.std, step) for row in metrics.std.itertuples()]
+    for tag, value, scalar_step in scalars:
         if np.isfinite(value):
-            writer.add_scalar(name, value, when)
+            writer.add_scalar(tag, value, scalar_step)
     for file in ("payoff.png", "rating.png", "precision.png", "match.gif"):
         add_picture(writer, f"report/{file.partition('.')[0]}", (Path(folder) / file).read_bytes(), step)
 
 
-class Line(NamedTuple):
-    """A line of the summary: what was asked, what was observed with its interval, and which way it fell.
+class Claim(NamedTuple):
+    """A row of the summary: a claim, the observation with its interval, and the outcome.
 
     Attributes:
         outcome: "yes", "no", or "open" if the interval allows either.
     """
 
-    question: str
-    observed: str
+    claim: str
+    observation: str
     outcome: str
 
 
-def summary(found: LeagueMetrics) -> list[Line]:
-    """What a league must show, in a few lines."""
-    lines = [
-        Line(
-            f"The last generation ({found.last}) beats {figures.member_label(member)}",
-            f"wins {_share(share)} of {share.trials} decided rounds",
-            outcome(share.low, share.high, 0.5),
+def summary(metrics: LeagueMetrics) -> list[Claim]:
+    """The claims about a good league, and whether they hold."""
+    claims = [
+        Claim(
+            f"The last generation ({metrics.last}) beats {figures.member_label(opponent)}",
+            f"wins {_proportion(win_rate)} of {win_rate.trials} decided rounds",
+            outcome(win_rate.low, win_rate.high, 0.5),
         )
-        for member, share in found.against.items()
+        for opponent, win_rate in metrics.win_rates.items()
     ]
-    fallen = found.fallen
-    if fallen.of:
-        observed = (
-            f"{len(fallen.below)} of {fallen.of} rated below it, {len(fallen.clear)} by more than a 95 % interval"
+    below, significant, total = metrics.regressions.below, metrics.regressions.significant, metrics.regressions.total
+    if total:
+        claims.append(
+            Claim(
+                f"No generation after {REGRESSION_FROM} is rated below generation {REGRESSION_REFERENCE}",
+                f"{len(below)} of {total} are rated below it, {len(significant)} by more than the 95 % interval",
+                "no" if significant else "open" if below else "yes",
+            )
         )
-        fell = "no" if fallen.clear else "open" if fallen.below else "yes"
-        lines.append(Line(f"No generation after {LATER_THAN} is rated below generation {BELOW}", observed, fell))
-    own, script = found.saves["last"], found.saves[KEEPER]
-    difference = own.minus(script)
-    lines.append(
-        Line(
-            f"It saves more than the scripted {KEEPER}",
-            f"saves {_share(own)} of {own.trials} shots, the {KEEPER} {_share(script)} of {script.trials}",
-            outcome(*difference[1:]) if own.trials and script.trials else "open",
+    last, script = metrics.saves["last"], metrics.saves[DEFENDER]
+    rates = f"saves {_proportion(last)} of {last.trials} shots, the {DEFENDER} {_proportion(script)} of {script.trials}"
+    claims.append(
+        Claim(
+            f"It saves more shots than the scripted {DEFENDER}",
+            rates,
+            outcome(*last.difference(script)[1:]) if last.trials and script.trials else "open",
         )
     )
-    for row in found.std[found.std["situation"].str.startswith("before")].itertuples():
-        question = f"It is surer {row.situation} than while the puck is far away"
-        lines.append(Line(question, _against_far(row), outcome(-row.difference_high, -row.difference_low)))
-    return lines
+    for row in metrics.std[metrics.std["situation"].str.startswith("before")].itertuples():
+        claim = f"Its STD is lower {row.situation} than with the puck far away"
+        claims.append(Claim(claim, _std_difference(row), outcome(-row.difference_high, -row.difference_low)))
+    return claims
 
 
-def outcome(low: float, high: float, middle: float = 0.0) -> str:
-    """Whether an interval lies above the middle: "yes", "no" if below, "open" if the middle is in it or nothing is."""
-    return "yes" if low > middle else "no" if high < middle else "open"
+def outcome(low: float, high: float, threshold: float = 0.0) -> str:
+    """Whether an interval lies above a threshold: "yes", "no" if below, "open" if it contains it or is NaN."""
+    return "yes" if low > threshold else "no" if high < threshold else "open"
 
 
 def page(
-    found: LeagueMetrics, pictures: Mapping[str, bytes], card: Mapping[str, Any], effort: EvaluationBudget, seed: int
+    metrics: LeagueMetrics,
+    pictures: Mapping[str, bytes],
+    card: Mapping[str, Any],
+    budget: EvaluationBudget,
+    seed: int,
 ) -> str:
-    """Fill the template: here what is shown is chosen, there how it looks and what is said of it.
+    """The page, from templates/league_report.html.
 
     Args:
         pictures: by file name.
     """
-    rated, place = found.ratings.set_index("member"), found.members.index(found.last)
-    learned = found.ratings[[not isinstance(member, str) for member in found.members]]
-    in_matrix = {
-        member: Proportion.of(won, won + lost)
-        for member, (won, lost, _) in zip(found.members, found.score[place], strict=True)
-        if member != found.last
+    ratings, row_of_last = metrics.ratings.set_index("member"), metrics.player_ids.index(metrics.last)
+    generations = ratings.loc[generations_of(metrics.player_ids), "rating"]
+    win_rates = {
+        opponent: Proportion.from_counts(wins, wins + losses)
+        for opponent, (wins, losses, _) in zip(metrics.player_ids, metrics.score[row_of_last], strict=True)
+        if opponent != metrics.last
     }
     return template(
         Path(__file__).parent / "templates",
         "league_report.html",
         percent=_percent,
-        share=_share,
+        proportion=_proportion,
         points=_points,
-        against_far=_against_far,
-        p=_p,
+        std_difference=_std_difference,
+        p=_p_value,
         named=figures.member_label,
     ).render(
-        found=found,
-        last=RatingDifference(*rated.loc[found.last]),
-        best=int(learned["member"][learned["rating"].idxmax()]),
-        best_rating=float(learned["rating"].max()),
-        losing_to=[member for member, share in in_matrix.items() if share.high < 0.5],
-        undecided=found.score[..., 2].sum() / found.score.sum(),
-        save_difference=[100 * end for end in found.saves["last"].minus(found.saves[KEEPER])],
-        lines=summary(found),
+        metrics=metrics,
+        last=RatingDifference(*ratings.loc[metrics.last]),
+        best=int(generations.astype(float).idxmax()),
+        best_rating=float(generations.max()),
+        stronger_opponents=[opponent for opponent, win_rate in win_rates.items() if win_rate.high < 0.5],
+        draws=metrics.score[..., 2].sum() / metrics.score.sum(),
+        save_difference=[100 * value for value in metrics.saves["last"].difference(metrics.saves[DEFENDER])],
+        claims=summary(metrics),
         outcome=outcome,
         images={name.partition(".")[0]: base64.b64encode(content).decode() for name, content in pictures.items()},
-        std=list(found.std.itertuples()),
+        std=list(metrics.std.itertuples()),
         attacker=ATTACKER,
-        keeper=KEEPER,
-        later_than=LATER_THAN,
-        below=BELOW,
+        defender=DEFENDER,
+        regression_from=REGRESSION_FROM,
+        regression_reference=REGRESSION_REFERENCE,
         save_seconds=SAVE_SECONDS,
         strike_seconds=STRIKE_SECONDS,
         far=FAR,
-        effort=asdict(effort),
+        budget=asdict(budget),
         seed=seed,
         card=card,
     )
@@ -232,26 +236,28 @@ def _percent(value: float, digits: int = 0) -> str:
     return "–" if pd.isna(value) else f"{100 * value:.{digits}f} %"
 
 
-def _share(share: Proportion) -> str:
-    """A share as percents with its interval; in tenths if that is narrow."""
-    digits = 1 if share.high - share.low < 0.02 else 0
-    ends = f"[{100 * share.low:.{digits}f}, {100 * share.high:.{digits}f}]"
-    return f"{_percent(share.value, digits)} {ends}" if share.trials else "–"
+def _proportion(value: Proportion) -> str:
+    """A proportion in percent with its interval; with a decimal if the interval is narrow."""
+    digits = 1 if value.high - value.low < 0.02 else 0
+    interval = f"[{100 * value.low:.{digits}f}, {100 * value.high:.{digits}f}]"
+    return f"{_percent(value.value, digits)} {interval}" if value.trials else "–"
 
 
-def _against_far(row: Any) -> str:
-    """A row of `precision.precision` beside that of a puck far away."""
-    ends = f"[{number(row.difference_low, 3)}, {number(row.difference_high, 3)}]"
+def _std_difference(row: Any) -> str:
+    """A row of `policy_std.std_by_situation` compared with that of a puck far away."""
+    interval = f"[{number(row.difference_low, 3)}, {number(row.difference_high, 3)}]"
     far = number(row.std - row.difference, 3)
-    return f"STD {number(row.std, 3)} against {far}, a difference of {number(row.difference, 3)} {ends}"
+    return f"STD {number(row.std, 3)} against {far}, a difference of {number(row.difference, 3)} {interval}"
 
 
-def _points(gain: RatingDifference) -> str:
-    """Elo points above or below something, without a sign, and the interval in the same direction."""
-    side, ends = ("above", gain[1:]) if gain.value >= 0 else ("below", (-gain.high, -gain.low))
-    return f"{number(abs(gain.value), 0)} [{', '.join(number(end, 0) for end in ends)}] points {side}"
+def _points(difference: RatingDifference) -> str:
+    """A rating difference in words: positive points above or below, and the interval in the same direction."""
+    above = difference.value >= 0
+    bounds = difference[1:] if above else (-difference.high, -difference.low)
+    interval = ", ".join(number(bound, 0) for bound in bounds)
+    return f"{number(abs(difference.value), 0)} [{interval}] points {'above' if above else 'below'}"
 
 
-def _p(value: float) -> str:
-    """A p with its sign, without the zero before the point."""
+def _p_value(value: float) -> str:
+    """A p-value with its sign, without the zero before the decimal point."""
     return "< .001" if value < 0.001 else "= " + f"{value:.3f}".lstrip("0")

@@ -1,4 +1,4 @@
-"""Matches between two policies: who wins how many rounds."""
+"""Matches between two players: how many rounds each wins."""
 
 from typing import Any, NamedTuple
 
@@ -8,25 +8,30 @@ import torch
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.world import World, round_steps
 from airhockey_marl.experiment.validation import check_counts
-from airhockey_marl.league.league import OpponentBatch, PlayerId
+from airhockey_marl.league.opponent_batch import OpponentBatch, PlayerId
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.players import Player, stochastic
 from airhockey_marl.players.rollout import rollout
 
-FRAME_SKIP = 2  # a decision is held for so many ticks, in training (conf/env) and in matches
+FRAME_SKIP = 2  # ticks for which an action is held, in training (conf/env) and in matches
+RESULT_COLUMNS = ("won", "lost", "undecided")  # of a `MatchResult` in matches.csv, payoff.csv and comparison.csv
 
 
 class MatchResult(NamedTuple):
-    """Rounds won by the left and the right player, and rounds that ran out of time."""
+    """Rounds won by the left player, by the right player, and by neither within the time."""
 
-    won: int
-    lost: int
-    undecided: int
+    wins: int
+    losses: int
+    draws: int
 
     @property
     def win_rate(self) -> float:
-        """Share of the decided rounds that the left player won; not a number if none was decided."""
-        return self.won / (self.won + self.lost) if self.won + self.lost else float("nan")
+        """The left player's share of the decided rounds; NaN without any."""
+        return self.wins / (self.wins + self.losses) if self.wins + self.losses else float("nan")
+
+    def as_row(self) -> dict[str, int]:
+        """By `RESULT_COLUMNS`."""
+        return dict(zip(RESULT_COLUMNS, self, strict=True))
 
 
 @torch.no_grad()
@@ -40,22 +45,23 @@ def play_rounds(
     frame_skip: int = FRAME_SKIP,
     table: TableSpec | None = None,
 ) -> np.ndarray:
-    """Play `rounds` rounds at each of `tables` tables, one after another, each until a goal or for `round_seconds`.
+    """Play `rounds` successive rounds at each of `tables` tables, each until a goal or for `round_seconds`.
 
     Returns:
-        (tables, 3) int: rounds won by the left player, lost, and undecided, as in `MatchResult`.
+        (tables, 3) int: wins of the left player, losses, and draws, as in `MatchResult`.
 
     Raises:
-        ValueError: a number is out of range, or a player answers with something else than actions.
+        ValueError: a number is out of range, or a player does not return actions (n, 2).
     """
     check_counts(tables=tables, rounds=rounds)
     world = World(tables, table)
     world.seed(seed)
     world.new_rounds()
     max_steps = round_steps(round_seconds, world.table, frame_skip)
+    # columns by the goal: 0 a goal of the left player (+1), 1 none (0), 2 a goal of the right player (-1)
     score = np.zeros((tables, 3), dtype=np.int64)
     for step in rollout(world, (left, right), frame_skip, max_steps):
-        counted = step.done & (score.sum(axis=1) < rounds)  # a table that has played its rounds is not counted further
+        counted = step.done & (score.sum(axis=1) < rounds)  # tables that have finished go on, without being counted
         score[counted, 1 - world.goals[counted]] += 1
         if (score.sum(axis=1) >= rounds).all():
             break
@@ -65,29 +71,25 @@ def play_rounds(
 def play_matches(
     left: Player, right: Player, matches: int, tables: int, rounds: int, seed: int, **options: Any
 ) -> list[MatchResult]:
-    """Play several matches side by side, each at `tables` tables of its own with `rounds` rounds at each of them.
+    """Play several matches side by side, each at `tables` tables of its own with `rounds` rounds at each table.
 
-    The players know by the table which match it is, as a line-up does; see `play_rounds` for the options.
+    Players may act differently in each match, as an `OpponentBatch` does; see `play_rounds` for the options.
     """
-    check_counts(matches=matches, tables=tables)
     score = play_rounds(left, right, matches * tables, rounds, seed, **options)
-    return [MatchResult(*total) for total in score.reshape(matches, tables, 3).sum(axis=1).tolist()]
+    return [MatchResult(*counts) for counts in score.reshape(matches, tables, 3).sum(axis=1).tolist()]
 
 
 def play_match(left: Player, right: Player, rounds: int, seed: int, **options: Any) -> MatchResult:
     """Play `rounds` rounds side by side, one per table; see `play_rounds` for the options."""
-    check_counts(rounds=rounds)
     (result,) = play_matches(left, right, 1, rounds, 1, seed, **options)
     return result
 
 
-def play_each(
-    player: GaussianPolicy, opponents: OpponentBatch, rounds: int, seed: int, frame_skip: int
+def play_opponents(
+    policy: GaussianPolicy, opponents: OpponentBatch, rounds: int, seed: int, frame_skip: int
 ) -> dict[PlayerId, MatchResult]:
-    """A match of one policy against each of a line-up of different members, each side sampling as in training."""
-    check_counts(rounds=rounds)
-    check_counts(0, seed=seed)
+    """A match of one policy against each of several different opponents; both sample their actions, as in training."""
     generator = torch.Generator().manual_seed(seed)
-    left, right = stochastic(player, generator), stochastic(opponents, generator)
-    results = play_matches(left, right, len(opponents.members), rounds, 1, seed, frame_skip=frame_skip)
-    return dict(zip(opponents.members, results, strict=True))
+    left, right = stochastic(policy, generator), stochastic(opponents, generator)
+    results = play_matches(left, right, len(opponents.player_ids), rounds, 1, seed, frame_skip=frame_skip)
+    return dict(zip(opponents.player_ids, results, strict=True))

@@ -1,12 +1,11 @@
-"""Who is how strong: rounds between all pairs of a league, Bradley-Terry ratings with intervals, and kept matches.
+"""Ratings: the payoff matrix of a league, Bradley-Terry ratings with intervals, and the matches of its training.
 
-A rating is in Elo points: 400 more are odds of ten to one. Rounds that nobody won count for nothing. Ratings follow
-from the sums of won rounds alone, so the order in which they were played cannot change a bit of them.
+A rating is in Elo points: 400 points more are odds of ten to one. Draws are ignored. Ratings depend on sums of wins
+only, so the order of the rounds does not change a bit of them.
 """
 
 from collections.abc import Callable, Sequence
 from math import log
-from numbers import Integral
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,20 +16,21 @@ import torch
 from scipy import stats
 from scipy.sparse.csgraph import connected_components
 
-from airhockey_marl.evaluation.matches import FRAME_SKIP, play_matches
-from airhockey_marl.experiment.validation import check_arrays, check_counts, check_numbers
-from airhockey_marl.league.league import League, PlayerId
+from airhockey_marl.evaluation.matches import FRAME_SKIP, RESULT_COLUMNS, play_matches
+from airhockey_marl.experiment.validation import check_arrays, check_numbers
+from airhockey_marl.league.league import League
+from airhockey_marl.league.opponent_batch import PlayerId
 from airhockey_marl.players.players import stochastic
 
 ELO = 400 / log(10)  # points per unit of log-odds
-PRIOR_ROUNDS = 1.0  # drawn against a player of no fixed strength; see `bradley_terry`
-CONFIDENT = stats.norm.isf(0.025)  # half the width of a 95 % interval, in standard errors
-TABLES_AT_ONCE = 250  # more are not faster: from `World.PARALLEL_FROM` on they wait for threads
-MATCHES = ("generation", "opponent", "won", "lost", "undecided")  # the columns of matches.csv
+PRIOR_ROUNDS = 1.0  # drawn against a player of free strength; see `bradley_terry`
+Z_95 = stats.norm.isf(0.025)  # half the width of a 95 % interval, in standard errors
+MAX_TABLES = 250  # played side by side; more are not faster, as `World` then waits for threads
+MATCH_COLUMNS = ("generation", "opponent", *RESULT_COLUMNS)  # of matches.csv
 
 
 class Proportion(NamedTuple):
-    """A share of so many trials, with its 95 % interval (Wilson's)."""
+    """A proportion of `trials` trials with its 95 % interval (Wilson's)."""
 
     value: float
     low: float
@@ -38,18 +38,15 @@ class Proportion(NamedTuple):
     trials: int
 
     @classmethod
-    def of(cls, successes: int, trials: int) -> "Proportion":
-        """Not a number, between 0 and 1, if there were no trials."""
-        check_counts(0, successes=successes, trials=trials)
-        if successes > trials:
-            raise ValueError(f"successes = {successes} must be at most trials = {trials}")
+    def from_counts(cls, successes: int, trials: int) -> "Proportion":
+        """Without trials: NaN with the interval [0, 1]."""
         if not trials:
             return cls(float("nan"), 0.0, 1.0, 0)
         low, high = stats.binomtest(int(successes), int(trials)).proportion_ci(method="wilson")
         return cls(successes / trials, float(low), float(high), int(trials))
 
-    def minus(self, other: "Proportion") -> tuple[float, float, float]:
-        """The difference of two independent shares and its 95 % interval (Newcombe's hybrid of two Wilson's)."""
+    def difference(self, other: "Proportion") -> tuple[float, float, float]:
+        """The difference of two independent proportions and its 95 % interval (Newcombe's hybrid score interval)."""
         difference = self.value - other.value
         below = np.hypot(self.value - self.low, other.high - other.value)
         above = np.hypot(self.high - self.value, other.value - other.low)
@@ -57,7 +54,7 @@ class Proportion(NamedTuple):
 
 
 class Ratings(NamedTuple):
-    """Elo points above the reference (k,), and the ends of their 95 % intervals; the reference has 0, 0, 0."""
+    """Elo points (k,) above the reference and the bounds of their 95 % intervals; those of the reference are 0."""
 
     rating: np.ndarray
     low: np.ndarray
@@ -65,7 +62,7 @@ class Ratings(NamedTuple):
 
 
 class RatingDifference(NamedTuple):
-    """Elo points of one member above another, with the ends of the 95 % interval of that difference."""
+    """Elo points of one player above another, and the bounds of the difference's 95 % interval."""
 
     value: float
     low: float
@@ -73,12 +70,13 @@ class RatingDifference(NamedTuple):
 
 
 class GoodnessOfFit(NamedTuple):
-    """Whether strength is one number: Pearson's chi-squared of the payoff under the ratings, and its p.
+    """Whether one number per player explains the payoff matrix: Pearson's chi-squared of the wins under the ratings.
 
     Attributes:
-        ratio: per degree of freedom. About 1 if the ratings and chance explain who beats whom; more if that goes round
-            in circles, and then the intervals of `bradley_terry` are too narrow by about its root. NaN below three members.
-        p: of a ratio at least so large if the ratings explain everything.
+        ratio: chi-squared per degree of freedom. About 1 if ratings and chance explain the wins; more if strength is
+            not transitive, and then the intervals of `bradley_terry` are too narrow by about its root. NaN below three
+            players.
+        p: probability of a ratio at least as large if the ratings explain the wins.
     """
 
     ratio: float
@@ -94,32 +92,30 @@ def play_pairs(
     frame_skip: int = FRAME_SKIP,
     progress: Callable[[float], None] | None = None,
 ) -> np.ndarray:
-    """Let each pair of members play `rounds` rounds, many pairs side by side, with actions sampled as in training.
+    """Let each pair of players play `rounds` rounds, many pairs side by side, with actions sampled as in training.
 
-    A half turn of the table swaps the seats and changes nothing, so the first of a pair always sits left.
+    The table is symmetric under a half turn, so the first of a pair always plays on the left.
 
     Args:
-        tables_per_pair: at most so many share a pair's rounds, each as many.
-        progress: told the share of the pairs that have played.
+        tables_per_pair: the largest number of tables among which a pair's rounds are divided, evenly.
+        progress: called with the fraction of pairs that have played.
 
     Returns:
-        (pairs, 3) int: rounds won by the first of each pair, lost, and undecided.
+        (pairs, 3) int: wins of the first of each pair, losses, and draws.
 
     Raises:
-        ValueError: no rounds, or a member is not there.
+        ValueError: a player is not in the league.
     """
-    check_counts(rounds=rounds, tables_per_pair=tables_per_pair, frame_skip=frame_skip)
-    check_counts(0, seed=seed)
     tables = max(n for n in range(1, tables_per_pair + 1) if rounds % n == 0)
     generator = torch.Generator().manual_seed(seed)
     score = np.zeros((len(pairs), 3), dtype=np.int64)
-    at_once = max(1, TABLES_AT_ONCE // tables)
-    for first in range(0, len(pairs), at_once):
-        chunk = pairs[first : first + at_once]
-        left, right = (stochastic(league.lineup([pair[seat] for pair in chunk]), generator) for seat in (0, 1))
-        shared = (len(chunk), tables, rounds // tables)
+    chunk_size = max(1, MAX_TABLES // tables)
+    for first in range(0, len(pairs), chunk_size):
+        chunk = pairs[first : first + chunk_size]
+        left, right = (stochastic(league.opponent_batch(ids), generator) for ids in zip(*chunk, strict=True))
+        sizes = (len(chunk), tables, rounds // tables)
         score[first : first + len(chunk)] = play_matches(
-            left, right, *shared, seed + first * tables, frame_skip=frame_skip
+            left, right, *sizes, seed + first * tables, frame_skip=frame_skip
         )
         if progress:
             progress((first + len(chunk)) / len(pairs))
@@ -128,141 +124,142 @@ def play_pairs(
 
 def payoff(
     league: League,
-    members: Sequence[PlayerId],
+    player_ids: Sequence[PlayerId],
     rounds: int,
     seed: int,
     tables_per_pair: int = 10,
     frame_skip: int = FRAME_SKIP,
     progress: Callable[[float], None] | None = None,
 ) -> np.ndarray:
-    """Every pair of different members plays; see `play_pairs`.
+    """The payoff matrix: every pair of different players plays; see `play_pairs`.
 
     Returns:
-        (k, k, 3) int: rounds won by the member of the row against that of the column, lost, and undecided.
+        (k, k, 3) int: wins of the row's player against the column's, losses, and draws.
     """
-    rows, columns = np.triu_indices(len(members), 1)
-    pairs = [(members[row], members[column]) for row, column in zip(rows, columns, strict=True)]
-    score = np.zeros((len(members), len(members), 3), dtype=np.int64)
+    rows, columns = np.triu_indices(len(player_ids), 1)
+    pairs = [(player_ids[row], player_ids[column]) for row, column in zip(rows, columns, strict=True)]
+    score = np.zeros((len(player_ids), len(player_ids), 3), dtype=np.int64)
     score[rows, columns] = play_pairs(league, pairs, rounds, seed, tables_per_pair, frame_skip, progress)
     score[columns, rows] = score[rows, columns][:, [1, 0, 2]]
     return score
 
 
 def win_rates(score: np.ndarray) -> np.ndarray:
-    """Share of the decided rounds that the row won, from (..., 3); not a number where none was decided."""
-    check_arrays(score=(score, "... 3"))
+    """Win rates (...) among the decided rounds, from wins, losses and draws (..., 3); NaN where none was decided."""
     decided = score[..., 0] + score[..., 1]
     return np.where(decided > 0, score[..., 0] / np.maximum(decided, 1), np.nan)
 
 
 def bradley_terry(wins: np.ndarray, reference: int, prior_rounds: float = PRIOR_ROUNDS) -> Ratings:
-    """Bradley-Terry ratings: the chance that i wins a round against j is the logistic of the difference of strengths.
+    """Bradley-Terry ratings: the probability that i beats j is the logistic of the difference of their strengths.
 
-    Maximum likelihood by iterative Luce spectral ranking (Maystre and Grossglauser 2015), after one more player, whose
-    strength is free, has drawn `prior_rounds` rounds with everybody. That half a win and half a defeat keeps the rating
-    finite of somebody who won or lost everything, or who has no decided round (the interval says so), treats winners
-    and losers alike, and is little beside the hundreds of rounds that are usual here. The intervals are those of the
-    observed information; they hold if strength is one number. `goodness_of_fit` says whether it is.
+    Maximum likelihood by iterative Luce spectral ranking (Maystre and Grossglauser 2015), with a prior: `prior_rounds`
+    rounds of each player against one more player, of free strength, half of them won. It keeps the rating of a player
+    finite who won or lost all rounds or has no decided round (then the interval is wide), is symmetric in wins and
+    losses, and is small beside the hundreds of rounds that are usual here. The intervals are from the observed
+    information; they are valid if one number explains strength, see `goodness_of_fit`.
 
     Args:
-        wins: (k, k) how many rounds the member of the row won against that of the column; not all need to have met.
-        reference: whose rating is 0.
+        wins: (k, k) rounds that the row's player won against the column's; not all pairs need to have met.
+        reference: index of the player whose rating is 0.
 
     Raises:
-        ValueError: wins are not counts, or `prior_rounds` is 0 and somebody cannot be compared with the reference, not
-            even by way of others.
+        ValueError: wins are not counts, or `prior_rounds` is 0 and a player is not connected with the reference by
+            decided rounds.
     """
     check_arrays(wins=(np.asarray(wins), "k k"))
     check_numbers(0.0, prior_rounds=prior_rounds)
     wins, k = np.array(wins, dtype=np.float64), len(wins)
     if not np.isfinite(wins).all() or (wins < 0).any():
         raise ValueError(f"wins = {wins[~(wins >= 0) | np.isinf(wins)][0]:g} must be counts of at least 0")
-    if not isinstance(reference, Integral) or not -k <= reference < k:
-        raise ValueError(f"reference = {reference!r} must be the place of one of {k} members")
-    np.fill_diagonal(wins, 0.0)  # whoever plays himself learns nothing about his strength
-    everybody = wins
+    np.fill_diagonal(wins, 0.0)  # self-play carries no rating information
+    padded_wins = wins
     if prior_rounds:
-        everybody = np.pad(wins, (0, 1), constant_values=prior_rounds / 2)
-        everybody[k, k] = 0.0
-    component = connected_components(everybody, directed=False)[1]
-    if (apart := np.flatnonzero(component != component[reference])).size:
-        raise ValueError(f"members {apart.tolist()} have no decided round that leads to member {reference}")
-    strength = choix.ilsr_pairwise_dense(everybody, max_iter=100_000, tol=1e-11)
-    rounds, chance = everybody + everybody.T, _logistic(strength)
-    information = np.diag((rounds * chance * (1 - chance)).sum(axis=1)) - rounds * chance * (1 - chance)
+        padded_wins = np.pad(wins, (0, 1), constant_values=prior_rounds / 2)
+        padded_wins[k, k] = 0.0
+    component = connected_components(padded_wins, directed=False)[1]
+    if (unconnected := np.flatnonzero(component != component[reference])).size:
+        raise ValueError(f"players {unconnected.tolist()} are not connected with player {reference} by decided rounds")
+    strength = choix.ilsr_pairwise_dense(padded_wins, max_iter=100_000, tol=1e-11)
+    rounds, probability = padded_wins + padded_wins.T, _logistic(strength)
+    information = np.diag((rounds * probability * (1 - probability)).sum(axis=1))
+    information -= rounds * probability * (1 - probability)
+    # only differences to the reference are identified: without its row and column the information is regular
     others = np.delete(np.arange(len(strength)), reference)
-    error = np.zeros(len(strength))  # of the difference to the reference: with that one held, the rest is regular
+    error = np.zeros(len(strength))
     error[others] = np.sqrt(np.diag(np.linalg.inv(information[np.ix_(others, others)])))
     rating = ELO * (strength - strength[reference])[:k]
-    half = ELO * CONFIDENT * error[:k]
-    return Ratings(rating, rating - half, rating + half)
+    half_width = ELO * Z_95 * error[:k]
+    return Ratings(rating, rating - half_width, rating + half_width)
 
 
 def rating_differences(
-    members: Sequence[PlayerId], wins: np.ndarray, over: PlayerId
+    player_ids: Sequence[PlayerId], wins: np.ndarray, reference: PlayerId
 ) -> dict[PlayerId, RatingDifference]:
-    """How far everybody is rated above `over`; see `bradley_terry`."""
-    check_arrays(wins=(wins, f"{len(members)} {len(members)}"))
-    if over not in members:
-        raise ValueError(f"over = {over!r} must be one of {', '.join(map(str, members))}")
-    rated = np.stack(bradley_terry(wins, list(members).index(over)), axis=1)
-    return {member: RatingDifference(*row) for member, row in zip(members, rated.tolist(), strict=True)}
+    """The rating differences of all players to `reference`; see `bradley_terry`."""
+    rows = np.stack(bradley_terry(wins, list(player_ids).index(reference)), axis=1).tolist()
+    return {player: RatingDifference(*row) for player, row in zip(player_ids, rows, strict=True)}
 
 
 def goodness_of_fit(wins: np.ndarray, rating: np.ndarray) -> GoodnessOfFit:
-    """How far the win rates are from those that the ratings (k,) foretell; see `GoodnessOfFit`."""
-    check_arrays(wins=(wins, "k k"), rating=(np.asarray(rating), "k"))
+    """The fit of wins (k, k) to the predictions of the ratings (k,), in Elo points."""
     rows, columns = np.triu_indices(len(wins), 1)
-    rounds, chance = (wins + wins.T)[rows, columns], _logistic(np.asarray(rating) / ELO)[rows, columns]
+    rounds, probability = (wins + wins.T)[rows, columns], _logistic(rating / ELO)[rows, columns]
     freedom = np.count_nonzero(rounds) - (len(wins) - 1)
     if freedom < 1:
         return GoodnessOfFit(float("nan"), float("nan"))
-    squares = (wins[rows, columns] - rounds * chance) ** 2 / np.maximum(rounds * chance * (1 - chance), 1e-12)
-    chi2 = squares[rounds > 0].sum()
+    variance = np.maximum(rounds * probability * (1 - probability), 1e-12)
+    chi2 = ((wins[rows, columns] - rounds * probability) ** 2 / variance)[rounds > 0].sum()
     return GoodnessOfFit(float(chi2 / freedom), float(stats.chi2.sf(chi2, freedom)))
 
 
 def _logistic(strength: np.ndarray) -> np.ndarray:
-    """(k, k): the chance that the row wins against the column."""
+    """(k, k): the probability that the row beats the column, from strengths (k,) in log-odds."""
     return 1 / (1 + np.exp(strength[None, :] - strength[:, None]))
 
 
 def ratings_of_matches(matches: pd.DataFrame, reference: PlayerId | None = None) -> pd.DataFrame:
-    """Rate everybody who occurs in `matches` (see `MATCHES`), generations and anchors.
+    """Ratings of all players in `matches` (see `MATCH_COLUMNS`).
 
     Args:
-        reference: whose rating is 0; the oldest generation unless given.
+        reference: the player whose rating is 0; by default the oldest generation.
 
     Returns:
-        Columns member, rating, low, high: the generations in their order, then the anchors by name.
+        Columns member, rating, low, high: the generations in their order, then the scripted players by name.
 
     Raises:
-        ValueError: there are no matches, or not enough to compare everybody; see `bradley_terry`.
+        ValueError: there are no matches, or not enough to compare all players; see `bradley_terry`.
     """
-    members, wins = wins_of_matches(matches)
-    if not members:
+    player_ids, wins = wins_of_matches(matches)
+    if not player_ids:
         raise ValueError("no matches to rate")
-    place = members.index(members[0] if reference is None else reference)
-    return pd.DataFrame({"member": pd.Series(members, dtype=object), **bradley_terry(wins, place)._asdict()})
+    return ratings_table(player_ids, wins, player_ids[0] if reference is None else reference)
+
+
+def ratings_table(player_ids: Sequence[PlayerId], wins: np.ndarray, reference: PlayerId) -> pd.DataFrame:
+    """Ratings with the columns member, rating, low, high; see `bradley_terry`."""
+    ratings = bradley_terry(wins, list(player_ids).index(reference))
+    return pd.DataFrame({"member": pd.Series(player_ids, dtype=object), **ratings._asdict()})
 
 
 def wins_of_matches(matches: pd.DataFrame) -> tuple[list[PlayerId], np.ndarray]:
-    """Who occurs in `matches`, generations in order before anchors by name, and how many rounds each won, (k, k)."""
-    seen = {*matches["generation"], *matches["opponent"]}
-    members = [*sorted(int(m) for m in seen if not isinstance(m, str)), *sorted(m for m in seen if isinstance(m, str))]
-    place = {member: i for i, member in enumerate(members)}
-    wins = np.zeros((len(members), len(members)), dtype=np.int64)
-    for generation, opponent, won, lost, _ in matches[list(MATCHES)].itertuples(index=False):
-        wins[place[generation], place[opponent]] += won
-        wins[place[opponent], place[generation]] += lost
-    return members, wins
+    """The players in `matches`, generations in order before scripted players by name, and their wins (k, k)."""
+    players = {*matches["generation"], *matches["opponent"]}
+    player_ids = [*sorted(int(player) for player in players if not isinstance(player, str))]
+    player_ids += sorted(player for player in players if isinstance(player, str))
+    index = {player: i for i, player in enumerate(player_ids)}
+    wins = np.zeros((len(player_ids), len(player_ids)), dtype=np.int64)
+    for generation, opponent, won, lost, _ in matches[list(MATCH_COLUMNS)].itertuples(index=False):
+        wins[index[generation], index[opponent]] += won
+        wins[index[opponent], index[generation]] += lost
+    return player_ids, wins
 
 
 def read_matches(path: Path | str) -> pd.DataFrame:
-    """Read a matches.csv: columns `MATCHES`; an opponent is a generation's number or an anchor's name.
+    """Read a matches.csv: columns `MATCH_COLUMNS`; opponents are numbers of generations or names of scripted players.
 
     Raises:
-        ValueError: the file is missing, has other columns, or holds something else than counts of at least 0.
+        ValueError: the file is missing, has other columns, or a value is not a count >= 0.
     """
     try:
         matches = pd.read_csv(path, dtype={"opponent": "str"})
@@ -270,17 +267,19 @@ def read_matches(path: Path | str) -> pd.DataFrame:
         raise ValueError(f"no such file: {path}") from None
     except ValueError as error:  # pandas' parser errors are ValueErrors, and do not name the file
         raise ValueError(f"{path}: {error}") from error
-    if tuple(matches.columns) != MATCHES:
-        raise ValueError(f"{path} has the columns {', '.join(map(str, matches.columns))}, not {', '.join(MATCHES)}")
-    for column in MATCHES:
-        counts = matches[column]
+    if tuple(matches.columns) != MATCH_COLUMNS:
+        columns = ", ".join(map(str, matches.columns))
+        raise ValueError(f"{path} has the columns {columns}, must have {', '.join(MATCH_COLUMNS)}")
+    for column in MATCH_COLUMNS:
+        values = matches[column]
         if column == "opponent":
-            wrong = counts.isna()
+            invalid = values.isna()
         else:
-            wrong = pd.to_numeric(counts, errors="coerce").mod(1).ne(0) | pd.to_numeric(counts, errors="coerce").lt(0)
-        if wrong.any():
-            allowed = "a generation or an anchor" if column == "opponent" else "a whole number of at least 0"
-            raise ValueError(f"{path}, row {wrong.idxmax() + 1}: {column} = {counts[wrong.idxmax()]} must be {allowed}")
+            numbers = pd.to_numeric(values, errors="coerce")
+            invalid = numbers.mod(1).ne(0) | numbers.lt(0)
+        if invalid.any():
+            row = invalid.idxmax()
+            allowed = "a generation or a scripted player" if column == "opponent" else "a whole number of at least 0"
+            raise ValueError(f"{path}, row {row + 1}: {column} = {values[row]} must be {allowed}")
     matches["opponent"] = pd.Series([int(m) if m.isdigit() else m for m in matches["opponent"]], dtype=object)
-    counts = [column for column in MATCHES if column != "opponent"]
-    return matches.astype({column: np.int64 for column in counts})
+    return matches.astype({column: np.int64 for column in MATCH_COLUMNS if column != "opponent"})

@@ -1,11 +1,11 @@
-"""How well a player defends: of the shots on its goal, how many it saves.
+"""Save rate of a player: the share of the shots on its goal that it blocks.
 
-A shot on goal begins when the attacker touches the puck and the puck would then score if nobody were in its way,
-which the physics itself is asked: the table is copied, its paddles are taken away, and it is played on. The shot ends
-blocked  when the player touches the puck and, asked again, it would no longer score;
-conceded when the goal falls;
-or as none, with a new serve, with a touch of the attacker's that turns it away, or when the time is up. A goal that no
-shot came before, such as a player's own, is none either.
+A shot on goal begins when the attacker touches the puck and the puck would then score if nobody touched it again, which
+is found by simulating a copy of the table without paddles. A shot ends
+blocked  when the player touches the puck and it would no longer score, by another such simulation;
+conceded when it scores;
+uncounted when the puck is served anew, when the attacker's touch turns it away, or when the time is up. A goal without
+a shot before it, such as an own goal, is not counted either.
 """
 
 from typing import NamedTuple
@@ -18,74 +18,72 @@ from airhockey_marl.envs.physics import LEFT, RIGHT, TOUCHED_BY, TableSpec
 from airhockey_marl.envs.puck_path import BLOCKED, CONCEDED, shot_outcome, without_paddles, would_score
 from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.evaluation.matches import FRAME_SKIP
-from airhockey_marl.experiment.validation import check_counts
 from airhockey_marl.players.players import Player
 from airhockey_marl.players.rollout import decide
 
 
 class Saves(NamedTuple):
-    """Shots on a player's goal: those it blocked and those that went in."""
+    """Shots on a player's goal, by their outcome."""
 
     blocked: int
     conceded: int
 
     @property
     def rate(self) -> float:
-        """Share of the shots that were blocked; not a number without a shot."""
+        """Share of the shots that were blocked; NaN without a shot."""
         return self.blocked / (self.blocked + self.conceded) if self.blocked + self.conceded else float("nan")
 
 
 @njit(cache=True)
-def record(under_fire, counts, bodies, goals, touched, served, empty):
-    """Enter what one tick brought to n tables.
+def update_counts(shot, counts, bodies, goals, touched, served, no_paddles):
+    """Update the counts with one tick of n tables.
 
     Args:
-        under_fire: (n,) bool, a shot is on its way; updated.
-        counts: (2,) shots blocked and conceded, of all tables; updated.
-        bodies, goals, touched, served: the `World` after the tick.
-        empty: the table without paddles, see `would_score`.
+        shot: (n,) bool, whether a shot is on its way; updated.
+        counts: (2,) shots blocked and conceded at all tables; updated.
+        bodies, goals, touched, served: of the `World` after the tick.
+        no_paddles: the table without paddles, see `would_score`.
     """
     for index in range(len(bodies)):
-        over = goals[index] != 0 or served[index]
-        if not over and touched[index] == 0:
+        done = goals[index] != 0 or served[index]
+        if not done and touched[index] == 0:
             continue
         by_player, by_attacker = touched[index] & TOUCHED_BY[LEFT] != 0, touched[index] & TOUCHED_BY[RIGHT] != 0
-        threat = not over and would_score(bodies[index], empty)
-        outcome = shot_outcome(under_fire[index], threat, by_player, served[index], goals[index])
+        threat = not done and would_score(bodies[index], no_paddles)
+        outcome = shot_outcome(shot[index], threat, by_player, served[index], goals[index])
         counts[0] += outcome == BLOCKED
-        counts[1] += outcome == CONCEDED and under_fire[index]
-        under_fire[index] = threat and (under_fire[index] or by_attacker)
+        counts[1] += outcome == CONCEDED and shot[index]
+        shot[index] = threat and (shot[index] or by_attacker)
 
 
 @torch.no_grad()
 def count_saves(
     player: Player,
     attacker: Player,
-    rounds: int,
+    tables: int,
     seed: int,
     round_seconds: float = 30.0,
     frame_skip: int = FRAME_SKIP,
     table: TableSpec | None = None,
 ) -> Saves:
-    """Let `player`, on the left, defend against `attacker`, and count.
+    """Count the saves of `player`, on the left, against `attacker` at `tables` tables for `round_seconds` each.
 
-    They play at `rounds` tables for `round_seconds` each; after a goal a table begins a new round. Who is to blame is
-    a matter of single ticks, so the tables are stepped tick by tick, each action held for `frame_skip`.
+    After a goal a table begins a new round. The tables are stepped tick by tick, each action held for `frame_skip`
+    ticks, since two touches may be a tick apart.
     """
-    check_counts(rounds=rounds)
-    tables = World(rounds, table)
-    tables.seed(seed)
-    tables.new_rounds()
-    empty = without_paddles(tables.table)
-    under_fire, counts = np.zeros(rounds, dtype=bool), np.zeros(2, dtype=np.int64)
-    observation = np.empty((2, rounds, OBSERVATION_SIZE), dtype=np.float32)
-    actions = np.empty((rounds, 2, ACTION_SIZE), dtype=np.float32)
-    for _ in range(round_steps(round_seconds, tables.table, frame_skip)):
-        decide(tables, (player, attacker), observation, actions)
+    world = World(tables, table)
+    world.seed(seed)
+    world.new_rounds()
+    no_paddles = without_paddles(world.table)
+    shot, counts = np.zeros(tables, dtype=bool), np.zeros(2, dtype=np.int64)
+    observation = np.empty((2, tables, OBSERVATION_SIZE), dtype=np.float32)
+    actions = np.empty((tables, 2, ACTION_SIZE), dtype=np.float32)
+    for _ in range(round_steps(round_seconds, world.table, frame_skip)):
+        decide(world, (player, attacker), observation, actions)
         for _ in range(frame_skip):
-            tables.step(actions)
-            record(under_fire, counts, tables.bodies, tables.goals, tables.touched, tables.served, empty)
-            over = tables.goals != 0
-            tables.new_rounds(over)
-            actions[over] = np.nan  # stay until asked again
+            world.step(actions)
+            update_counts(shot, counts, world.bodies, world.goals, world.touched, world.served, no_paddles)
+            scored = world.goals != 0
+            world.new_rounds(scored)
+            actions[scored] = np.nan  # NaN leaves the paddles where they are, until the next decision
     return Saves(*counts.tolist())

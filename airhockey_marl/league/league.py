@@ -1,32 +1,32 @@
-"""Generation-based self-play (section 3.2.2, after Bansal et al. 2018): frozen generations, and line-ups of them."""
+"""The league of generation-based self-play: frozen generations of one policy (section 3.2.2; Bansal et al. 2018)."""
 
 import copy
 import hashlib
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 import torch
 from tensordict import TensorDict
-from torch import Tensor, nn
+from torch import Tensor
 
 from airhockey_marl.experiment.files import load_tensors, save_tensors
-from airhockey_marl.experiment.validation import check_counts, check_tensors
+from airhockey_marl.league.opponent_batch import OpponentBatch, PlayerId
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 
-PlayerId = int | str  # of a pool: a generation's number or an anchor's name
-
 
 class League:
-    """The frozen generations of one policy, stacked: generation g's weights are slice g of every tensor.
+    """The frozen generations of one policy.
 
-    Adding one copies its weights, so training never moves a generation; `hashes` says so.
+    Attributes:
+        policy: the architecture; its own weights are not used.
+        snapshots: the weights of each generation, copies that training does not change.
+        hashes: of the weights of each generation, see `weights_hash`.
     """
 
     def __init__(self, policy: GaussianPolicy) -> None:
-        self.policy = policy  # the architecture; its own weights are not used
+        self.policy = policy
         self.snapshots: list[TensorDict] = []
         self.hashes: list[str] = []
 
@@ -35,13 +35,13 @@ class League:
 
     def add(self, policy: GaussianPolicy) -> str:
         """Freeze a copy of the policy as the next generation; returns the hash of its weights."""
-        snapshot = weights_of(policy).clone().lock_()
+        snapshot = policy_weights(policy).clone().lock_()
         self.snapshots.append(snapshot)
         self.hashes.append(weights_hash(snapshot))
         return self.hashes[-1]
 
     def generation(self, index: int) -> TensorDict:
-        """The weights of one generation; negative numbers count from the newest.
+        """The weights of one generation; negative indices count from the newest.
 
         Raises:
             ValueError: there is no such generation.
@@ -50,60 +50,60 @@ class League:
             raise ValueError(f"generation = {index} must be below {len(self)}, the number of generations")
         return self.snapshots[index]
 
-    def until(self, index: int) -> "League":
-        """The league as it was when generation `index` was its newest; see `generation` for the index."""
-        self.generation(index)
+    def prefix(self, last: int) -> "League":
+        """The league when generation `last` was its newest; see `generation` for the index."""
+        self.generation(last)
         league = League(self.policy)
-        many = index % len(self) + 1
-        league.snapshots, league.hashes = self.snapshots[:many], self.hashes[:many]
+        generations = last % len(self) + 1
+        league.snapshots, league.hashes = self.snapshots[:generations], self.hashes[:generations]
         return league
 
     def player(self, index: int) -> GaussianPolicy:
-        """One generation as a policy of its own; see `generation` for the index."""
+        """One generation as a policy with its own copy of the weights; see `generation` for the index."""
         policy = copy.deepcopy(self.policy).requires_grad_(False)
         policy.load_state_dict(self.generation(index).flatten_keys(".").to_dict())
         return policy
 
-    def lineup(self, members: Sequence[PlayerId]) -> "OpponentBatch":
-        """Seat these members together, each at as many tables as any other.
+    def opponent_batch(self, player_ids: Sequence[PlayerId]) -> OpponentBatch:
+        """The players that share a batch of tables, equally many each.
 
         Raises:
-            ValueError: one of them is neither a generation of this league nor an anchor.
+            ValueError: a player is neither a generation of this league nor a scripted player.
         """
-        unknown = [member for member in members if isinstance(member, str) and member not in SCRIPTED_PLAYERS]
-        if unknown:
-            raise ValueError(f"anchor = {unknown[0]!r} must be one of {', '.join(SCRIPTED_PLAYERS)}")
-        generations = [self.generation(member) for member in members if not isinstance(member, str)]
+        for player in player_ids:
+            if isinstance(player, str):
+                SCRIPTED_PLAYERS.find(player, "scripted player")
+        generations = [self.generation(player) for player in player_ids if not isinstance(player, str)]
         weights = torch.stack(generations).flatten_keys(".").contiguous().to_dict() if generations else None
-        return OpponentBatch(self.policy, weights, members)
+        return OpponentBatch(self.policy, weights, player_ids)
 
-    def stacked(self) -> dict[str, Tensor]:
-        """All weights by name, (generations, ...) each: what a league's file holds."""
+    def stacked_weights(self) -> dict[str, Tensor]:
+        """The weights of all generations by name, (generations, ...) each."""
         return dict(torch.stack(self.snapshots).contiguous().flatten_keys(".").items())
 
     def save(self, path: Path | str) -> None:
         """Write every generation to a safetensors file."""
-        save_tensors(path, self.stacked(), self.policy.architecture)
+        save_tensors(path, self.stacked_weights(), self.policy.architecture)
 
     @classmethod
     def load(cls, path: Path | str) -> "League":
-        """Read what `save` wrote.
+        """Read a file written by `save`.
 
         Raises:
-            ValueError: the file is missing, broken, or not of the shape it says it is.
+            ValueError: the file is missing, broken, or its tensors do not fit the architecture in its metadata.
         """
-        tensors, facts = load_tensors(path)
+        tensors, metadata = load_tensors(path)
         try:
-            return cls.from_stacked(GaussianPolicy.from_architecture(facts), tensors)
+            return cls.from_stacked_weights(GaussianPolicy.from_architecture(metadata), tensors)
         except ValueError as error:
             raise ValueError(f"{path}: {error}") from error
 
     @classmethod
-    def from_stacked(cls, policy: GaussianPolicy, tensors: dict[str, Tensor]) -> "League":
-        """The league that `stacked` described.
+    def from_stacked_weights(cls, policy: GaussianPolicy, tensors: dict[str, Tensor]) -> "League":
+        """The league with the weights that `stacked_weights` returned.
 
         Raises:
-            ValueError: the tensors are not those of this policy; names the first that differs.
+            ValueError: the tensors do not fit the policy; names the first that differs.
         """
         require_weights(policy, {name: tuple(tensor.shape[1:]) for name, tensor in tensors.items()})
         require_finite(tensors)
@@ -111,37 +111,37 @@ class League:
         generations = max(counts.values())
         for name, count in counts.items():
             if count != generations or not count:
-                raise ValueError(f"{name} is of {count} generations, must be of {max(generations, 1)}")
+                raise ValueError(f"{name} has {count} generations, must have {max(generations, 1)}")
         stacked = TensorDict(tensors, [generations]).unflatten_keys(".")
         league.snapshots = [snapshot.clone().lock_() for snapshot in stacked.unbind(0)]
         league.hashes = [weights_hash(snapshot) for snapshot in league.snapshots]
         return league
 
 
-def weights_of(policy: GaussianPolicy) -> TensorDict:
+def policy_weights(policy: GaussianPolicy) -> TensorDict:
     """The policy's parameters, nested like its modules; not its buffers, which are constants of the architecture."""
     return TensorDict({name: tensor.detach().cpu() for name, tensor in policy.named_parameters()}).unflatten_keys(".")
 
 
 def require_weights(policy: GaussianPolicy, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Refuse weights of other names or shapes than the policy's.
+    """Raise if names or shapes of weights are not those of the policy's parameters.
 
     Raises:
         ValueError: names the first that differs.
     """
-    wanted = {name: tuple(tensor.shape) for name, tensor in policy.named_parameters()}
-    for name in sorted(set(wanted) | set(shapes)):
-        if wanted.get(name) != shapes.get(name):
+    expected = {name: tuple(tensor.shape) for name, tensor in policy.named_parameters()}
+    for name in sorted(set(expected) | set(shapes)):
+        if expected.get(name) != shapes.get(name):
             raise ValueError(
-                f"{name} is {shapes.get(name, 'missing')}, the model has {wanted.get(name, 'no such tensor')}"
+                f"{name} is {shapes.get(name, 'missing')}, the model has {expected.get(name, 'no such tensor')}"
             )
 
 
 def require_finite(tensors: Mapping[str, Tensor]) -> None:
-    """Refuse weights that are no numbers to calculate with.
+    """Raise if a tensor is not floating point or has a value that is not finite.
 
     Raises:
-        ValueError: names the first tensor that is not floating point, or in which a value is not finite.
+        ValueError: names the first such tensor.
     """
     for name, tensor in sorted(tensors.items()):
         if not tensor.is_floating_point():
@@ -151,70 +151,9 @@ def require_finite(tensors: Mapping[str, Tensor]) -> None:
 
 
 def weights_hash(weights: TensorDict) -> str:
-    """SHA-256 over names, shapes and bytes of the weights."""
+    """SHA-256 of the names, shapes and bytes of the weights."""
     digest = hashlib.sha256()
     for name, tensor in sorted(weights.flatten_keys(".").items()):
         digest.update(f"{name}{tuple(tensor.shape)}".encode())
         digest.update(tensor.detach().cpu().contiguous().numpy().tobytes())
     return digest.hexdigest()
-
-
-class OpponentBatch(nn.Module):
-    """k members that share n tables, n / k each: the generations in one batched forward pass, the anchors by script.
-
-    Args:
-        weights: of the generations among the members, (generations, ...) by name, in the order of the members.
-
-    Attributes:
-        members: (k,) who they are; table i is the seat of `members[i * k // n]`.
-    """
-
-    def __init__(
-        self, policy: GaussianPolicy, weights: Mapping[str, Tensor] | None, members: Sequence[PlayerId]
-    ) -> None:
-        super().__init__()
-        self.policy, self.weights, self.members = policy, weights, list(members)
-        self.scripted = {
-            place: SCRIPTED_PLAYERS[member] for place, member in enumerate(members) if isinstance(member, str)
-        }
-        self.learned = [place for place in range(len(members)) if place not in self.scripted]
-
-    def part(self, first: int, last: int, of: int) -> "OpponentBatch":
-        """The line-up that sits at tables `first` to before `last`, where this one sits at `of` tables.
-
-        A member of whose tables only some are among them is there with these; one with many may be named repeatedly.
-
-        Raises:
-            ValueError: there are no such tables, or the members cannot share them evenly.
-        """
-        check_counts(0, first=first)
-        check_counts(first + 1, last=last)
-        check_counts(last, of=of)
-        if of % len(self.members):
-            raise ValueError(f"of = {of} tables, must be a multiple of {len(self.members)} members")
-        each = of // len(self.members)
-        block = math.gcd(each, first, last)  # tables that surely have the same member
-        places = [table // each for table in range(first, last, block)]
-        row_of = {place: row for row, place in enumerate(self.learned)}
-        rows = [row_of[place] for place in places if place in row_of]
-        weights = {name: tensor[rows] for name, tensor in self.weights.items()} if rows else None
-        return OpponentBatch(self.policy, weights, [self.members[place] for place in places])
-
-    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""
-        check_tensors(observation=(observation, "... 12"))
-        if len(observation) % len(self.members):
-            raise ValueError(
-                f"observation: {len(observation)} tables, must be a multiple of {len(self.members)} members"
-            )
-        shape = (*observation.shape[:-1], -1)
-        shared = observation.reshape(len(self.members), -1, observation.shape[-1])
-        if not self.scripted:
-            mean, std = self.policy.forward_stacked(self.weights, shared)
-        else:
-            mean, std = shared.new_empty((2, *shared.shape[:-1], 2))
-            if self.learned:
-                mean[self.learned], std[self.learned] = self.policy.forward_stacked(self.weights, shared[self.learned])
-            for place, anchor in self.scripted.items():
-                mean[place], std[place] = anchor(shared[place])
-        return mean.reshape(shape), std.reshape(shape)

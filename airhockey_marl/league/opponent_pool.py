@@ -1,45 +1,54 @@
-"""The opponents a learner can meet, and how it has fared against each."""
+"""The opponents a learner can meet, with its estimated win rate against each."""
 
 from collections.abc import Sequence
 
 import numpy as np
 
-from airhockey_marl.experiment.validation import check_arrays, check_counts, check_numbers
-from airhockey_marl.league.league import League, OpponentBatch, PlayerId
+from airhockey_marl.league.league import League
+from airhockey_marl.league.opponent_batch import OpponentBatch, PlayerId
 from airhockey_marl.league.opponent_sampling import OpponentSampler, PoolStatistics
 
 
 class OpponentPool:
-    """Whom a learner can meet: the generations of a league and some anchors; and how it has fared against each.
+    """The generations of a league and some scripted players, and the learner's goals for and against each.
 
     Args:
-        memory: what is left of a goal's weight in the estimated win rates a generation later.
+        win_rate_decay: factor, per generation, of a goal's weight in the estimated win rates.
+
+    Attributes:
+        goals: goals scored and conceded by player, weighted by `win_rate_decay`.
     """
 
-    def __init__(self, league: League, anchors: Sequence[str], sampler: OpponentSampler, memory: float) -> None:
-        check_numbers(0.0, at_most=1.0, memory=memory)
-        self.league, self.anchors, self.sampler, self.memory = league, list(anchors), sampler, memory
-        self.goals: dict[PlayerId, list[float]] = {}  # scored and conceded, fading
-
-    def standing(self) -> PoolStatistics:
-        """What a sampler may look at."""
-        goals = np.array([self.goals.get(member, [0.0, 0.0]) for member in self.members])
-        return PoolStatistics(len(self.league), len(self.anchors), (goals[:, 0] + 1) / (goals.sum(axis=1) + 2))
+    def __init__(
+        self, league: League, scripted_players: Sequence[str], sampler: OpponentSampler, win_rate_decay: float
+    ) -> None:
+        self.league, self.scripted_players, self.sampler = league, list(scripted_players), sampler
+        self.win_rate_decay = win_rate_decay
+        self.goals: dict[PlayerId, list[float]] = {}
 
     @property
-    def members(self) -> list[PlayerId]:
-        return [*range(len(self.league)), *self.anchors]
+    def player_ids(self) -> list[PlayerId]:
+        """The generations, oldest first, then the scripted players."""
+        return [*range(len(self.league)), *self.scripted_players]
 
-    def draw(self, number: int, rng: np.random.Generator) -> OpponentBatch:
-        """A line-up of `number` members; one can be in it more than once."""
-        check_counts(number=number)
-        drawn = rng.choice(len(self.members), size=number, p=self.sampler.probabilities(self.standing()))
-        return self.league.lineup([self.members[index] for index in sorted(drawn)])
+    def statistics(self) -> PoolStatistics:
+        """The input of a sampler."""
+        goals = np.array([self.goals.get(player, [0.0, 0.0]) for player in self.player_ids])
+        # with one goal more on either side: one half where no goal has been scored
+        win_rates = (goals[:, 0] + 1) / (goals.sum(axis=1) + 2)
+        return PoolStatistics(len(self.league), len(self.scripted_players), win_rates)
 
-    def remember(self, members: Sequence[PlayerId], goals: np.ndarray) -> None:
-        """Take note of goals scored and conceded (k, 2) against each of a line-up."""
-        check_arrays(goals=(goals, f"{len(members)} 2"))
-        self.goals = {member: [self.memory * count for count in counts] for member, counts in self.goals.items()}
-        for member, counts in zip(members, goals.tolist(), strict=True):
-            before = self.goals.get(member, [0.0, 0.0])
-            self.goals[member] = [before[0] + counts[0], before[1] + counts[1]]
+    def sample(self, count: int, rng: np.random.Generator) -> OpponentBatch:
+        """Draw `count` players with replacement."""
+        player_ids, probabilities = self.player_ids, self.sampler.probabilities(self.statistics())
+        indices = rng.choice(len(player_ids), size=count, p=probabilities)
+        return self.league.opponent_batch([player_ids[index] for index in sorted(indices)])
+
+    def update(self, player_ids: Sequence[PlayerId], goals: np.ndarray) -> None:
+        """Add goals scored and conceded (k, 2) against k players, after decaying the earlier ones."""
+        self.goals = {
+            player: [self.win_rate_decay * count for count in counts] for player, counts in self.goals.items()
+        }
+        for player, (scored, conceded) in zip(player_ids, goals.tolist(), strict=True):
+            previous = self.goals.get(player, [0.0, 0.0])
+            self.goals[player] = [previous[0] + scored, previous[1] + conceded]

@@ -1,7 +1,4 @@
-"""Who a learner meets: the chance of each member of the pool, past generations and scripted anchors.
-
-A sampler is a rule; `league.Standing` is what it may look at.
-"""
+"""Opponent sampling: rules for the probability with which a learner meets each player of the pool."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,25 +9,29 @@ import numpy as np
 from airhockey_marl.experiment.registry import Registry
 from airhockey_marl.experiment.validation import check_counts, check_numbers
 
+MIN_WEIGHT = 1e-6  # of a player in PFSP, so that a player that always loses keeps a probability above 0
+
 
 class PoolStatistics(NamedTuple):
-    """The pool as a learner finds it: the generations, oldest first, then the anchors.
+    """What a sampler knows of the pool: the generations, oldest first, then the scripted players.
 
     Attributes:
-        generations, anchors: how many there are.
-        win_rates: (generations + anchors,) estimated share of decided rounds that the learner wins against each;
-            one half against somebody it has not met.
+        generations, scripted_players: their numbers.
+        win_rates: (generations + scripted_players,) estimated win rates of the learner; one half against players that
+            it has not met.
     """
 
     generations: int
-    anchors: int
+    scripted_players: int
     win_rates: np.ndarray
 
 
 class OpponentSampler(Protocol):
-    """Gives each member of a pool its chance (generations + anchors,); the chances sum to 1."""
+    """A rule of opponent sampling."""
 
-    def probabilities(self, standing: PoolStatistics) -> np.ndarray: ...
+    def probabilities(self, statistics: PoolStatistics) -> np.ndarray:
+        """The probability of each player, (generations + scripted_players,)."""
+        ...
 
 
 OPPONENT_SAMPLERS: Registry[type[OpponentSampler]] = Registry("opponent sampler")
@@ -41,16 +42,16 @@ OPPONENT_SAMPLERS: Registry[type[OpponentSampler]] = Registry("opponent sampler"
 class Latest:
     """Always the newest generation."""
 
-    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
-        return np.eye(len(standing.win_rates))[standing.generations - 1]
+    def probabilities(self, statistics: PoolStatistics) -> np.ndarray:
+        return np.eye(len(statistics.win_rates))[statistics.generations - 1]
 
 
 @OPPONENT_SAMPLERS.register("delta_uniform")
 @dataclass(frozen=True)
 class DeltaUniform:
-    """Uniform over the newest share (1 - delta) of all generations (Bansal et al. 2018, section 4.2).
+    """Uniform over the newest fraction (1 - delta) of the generations (Bansal et al. 2018, section 4.2).
 
-    `delta` = 0 is uniform over all of them; 1 would be the latest alone.
+    `delta` = 0 is uniform over all of them; 1 would be the latest only.
     """
 
     delta: float
@@ -60,32 +61,33 @@ class DeltaUniform:
         if not self.delta < 1:
             raise ValueError(f"delta = {self.delta} must be at least 0 and below 1")
 
-    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
-        generations = standing.generations
+    def probabilities(self, statistics: PoolStatistics) -> np.ndarray:
+        generations = statistics.generations
         oldest = min(int(self.delta * generations), generations - 1)
-        chances = np.zeros(len(standing.win_rates))
-        chances[oldest:generations] = 1 / (generations - oldest)
-        return chances
+        probabilities = np.zeros(len(statistics.win_rates))
+        probabilities[oldest:generations] = 1 / (generations - oldest)
+        return probabilities
 
 
 @OPPONENT_SAMPLERS.register("scripted")
 @dataclass(frozen=True)
 class ScriptedOnly:
-    """Uniform over the scripted anchors."""
+    """Uniform over the scripted players."""
 
-    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
-        if not standing.anchors:
-            raise ValueError("league.anchors = [] must name at least one anchor for a sampler of anchors")
-        return (np.arange(len(standing.win_rates)) >= standing.generations) / standing.anchors
+    def probabilities(self, statistics: PoolStatistics) -> np.ndarray:
+        if not statistics.scripted_players:
+            raise ValueError("league.scripted_players = [] must name at least one player for the sampler 'scripted'")
+        indices = np.arange(len(statistics.win_rates))
+        return (indices >= statistics.generations) / statistics.scripted_players
 
 
 @OPPONENT_SAMPLERS.register("pfsp")
 @dataclass(frozen=True)
 class PFSP:
-    """Prioritized fictitious self-play (Vinyals et al. 2019): by how interesting a member is, from its win rate x.
+    """Prioritized fictitious self-play (Vinyals et al. 2019): weights by the learner's win rate x against a player.
 
     Attributes:
-        weighting: "squared", (1 - x)^2: whoever wins against the learner; or "variance", x (1 - x): whoever is its equal.
+        weighting: "squared", (1 - x)^2, favors the strongest players; "variance", x (1 - x), favors equal players.
     """
 
     weighting: str
@@ -96,18 +98,18 @@ class PFSP:
         if self.weighting not in self.WEIGHTS:
             raise ValueError(f"weighting = {self.weighting!r} must be one of {', '.join(self.WEIGHTS)}")
 
-    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
-        weights = self.WEIGHTS[self.weighting](standing.win_rates) + 1e-6  # nobody is ever out of the question
+    def probabilities(self, statistics: PoolStatistics) -> np.ndarray:
+        weights = self.WEIGHTS[self.weighting](statistics.win_rates) + MIN_WEIGHT
         return weights / weights.sum()
 
 
 @OPPONENT_SAMPLERS.register("mixture")
 @dataclass(frozen=True)
 class Mixture:
-    """Each of several samplers has its share of the tables.
+    """A mixture of samplers.
 
     Attributes:
-        samplers, shares: as many of the one as of the other; shares need not sum to 1.
+        samplers, shares: a weight per sampler; the shares need not sum to 1.
     """
 
     samplers: Sequence[OpponentSampler]
@@ -117,21 +119,16 @@ class Mixture:
         if len(self.samplers) != len(self.shares) or not self.shares or not all(share > 0 for share in self.shares):
             raise ValueError(f"shares = {list(self.shares)} must be {len(self.samplers)} numbers above 0")
 
-    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
-        weighted = [
-            share * sampler.probabilities(standing) for sampler, share in zip(self.samplers, self.shares, strict=True)
-        ]
+    def probabilities(self, statistics: PoolStatistics) -> np.ndarray:
+        components = zip(self.samplers, self.shares, strict=True)
+        weighted = [share * sampler.probabilities(statistics) for sampler, share in components]
         return np.asarray(sum(weighted)) / sum(self.shares)
 
 
 @OPPONENT_SAMPLERS.register("curriculum")
 @dataclass(frozen=True)
 class Curriculum:
-    """One sampler until a generation has been frozen, another from then on.
-
-    Attributes:
-        generation: the number of generations from which `then` has its say.
-    """
+    """One sampler in a league of fewer than `generation` generations, another one after that."""
 
     first: OpponentSampler
     then: OpponentSampler
@@ -140,5 +137,6 @@ class Curriculum:
     def __post_init__(self) -> None:
         check_counts(0, generation=self.generation)
 
-    def probabilities(self, standing: PoolStatistics) -> np.ndarray:
-        return (self.first if standing.generations < self.generation else self.then).probabilities(standing)
+    def probabilities(self, statistics: PoolStatistics) -> np.ndarray:
+        sampler = self.first if statistics.generations < self.generation else self.then
+        return sampler.probabilities(statistics)

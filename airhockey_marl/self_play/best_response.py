@@ -1,21 +1,19 @@
-"""Exploitability: how well a policy trained from nothing, against one member alone, comes to do against it.
+"""Exploitability: the win rate of a policy trained from scratch against one player only.
 
-A lower bound, as any learned best response is: what it does not find may still be there. Half of the decided rounds is
-what an equal would win; less means that in so many steps no weakness was found.
+A lower bound, as with any learned best response: training may miss a weakness. An equal opponent would win half of the
+decided rounds; less means that no weakness was found in the given steps.
 """
 
 from collections.abc import Callable
 
 import torch
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.algorithms.base import ALGORITHMS
-from airhockey_marl.algorithms.reward_shaping import RewardShaping, shaping_strength
-from airhockey_marl.evaluation.matches import MatchResult, play_each
-from airhockey_marl.experiment.validation import check_counts
-from airhockey_marl.league.league import League, PlayerId
-from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.self_play.collectors import CollectorConfig, RolloutWorkers
+from airhockey_marl.algorithms.reward_shaping import shaping_strength
+from airhockey_marl.evaluation.matches import MatchResult, play_opponents
+from airhockey_marl.league.league import League
+from airhockey_marl.league.opponent_batch import PlayerId
+from airhockey_marl.self_play.collectors import SINGLE
 from airhockey_marl.self_play.trainer import SelfPlayTrainer
 
 
@@ -26,33 +24,31 @@ def best_response(
     generations: int,
     rounds: int,
     seed: int,
-    progress: Callable[[str, float], None] = lambda phase, share: None,
+    progress: Callable[[str, float], None] = lambda phase, fraction: None,
 ) -> list[tuple[int, MatchResult]]:
-    """Train a new policy against `target` alone, by the same algorithm as the league's.
+    """Train a new policy against `target` only, by the league's algorithm.
 
     Args:
-        cfg: of the training (`conf/train.yaml`).
-        generations: how long, in the league's `steps_per_generation`; the shaping fades over all of them.
-        rounds: of the match that follows each.
-        seed: of the new policy and its play; torch's own random numbers are put back as they were.
+        cfg: of the league's training (`conf/train.yaml`).
+        generations: length of the training, in the league's `steps_per_generation`; the shaping fades over all of them.
+        rounds: of the match after each generation.
+        seed: of the new policy and its rollouts; the state of torch's random generator is restored.
 
     Returns:
-        For each generation: the steps so far, and how the new policy then fares against the target.
+        For each generation: the steps so far, and the result of the new policy against the target.
     """
-    check_counts(generations=generations, rounds=rounds)
-    check_counts(0, seed=seed)
+    local = {"seed": seed, "device": "cpu", "collector": {"kind": SINGLE, "workers": 1}, "env": {"backend": "batched"}}
+    cfg = OmegaConf.merge(cfg, local)
+    history = []
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        policy = GaussianPolicy(cfg.hidden, cfg.inputs)
-        learner = ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, cfg.gamma)
-        crew = RolloutWorkers(CollectorConfig(), {**cfg.env, "backend": "batched"}, seed, policy, cfg.batch)
-        shaping = RewardShaping(cfg.shaping.position, cfg.shaping.velocity, cfg.shaping.shot, cfg.shaping.approach)
-        practice, history = SelfPlayTrainer(crew, policy, shaping, cfg.gamma), []
+        trainer = SelfPlayTrainer.from_config(cfg)
+        opponents = league.opponent_batch([target])
         for generation in range(1, generations + 1):
-            opponents, strength = league.lineup([target]), shaping_strength(generation, generations)
-            practice.generation(learner, opponents, cfg.steps_per_generation, strength)
-            result = play_each(policy, opponents, rounds, seed + generation, cfg.env.frame_skip)[target]
-            history.append((generation * cfg.steps_per_generation, result))
+            strength = shaping_strength(generation, generations)
+            trainer.train_generation(opponents, cfg.steps_per_generation, strength)
+            results = play_opponents(trainer.policy, opponents, rounds, seed + generation, cfg.env.frame_skip)
+            history.append((generation * cfg.steps_per_generation, results[target]))
             progress("best response", generation / generations)
-        crew.close()
+        trainer.workers.close()
     return history

@@ -1,8 +1,8 @@
-"""Two policies at one table, as TorchRL's collectors see them: who acts where, and what the learner lived through."""
+"""Rollout workers: in-process, multiprocessing, or Ray."""
 
 import sys
 import warnings
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib.util import find_spec
@@ -11,86 +11,15 @@ from typing import Any
 import numpy as np
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule, TensorDictSequential
-from torch import Tensor, nn
+from torch import Tensor
 from torchrl.collectors import BaseCollector, Collector, MultiCollector
+from torchrl.envs import EnvBase
 
-from airhockey_marl.algorithms.reward_shaping import RewardShaping
 from airhockey_marl.envs.torchrl_env import make_env, serve_rng_states
-from airhockey_marl.experiment import parallel as cluster
-from airhockey_marl.experiment.parallel import LOCAL_CLUSTER
-from airhockey_marl.experiment.validation import check_counts, check_numbers
-from airhockey_marl.league.league import OpponentBatch
+from airhockey_marl.experiment.parallel import LOCAL_CLUSTER, join_ray_cluster
+from airhockey_marl.league.opponent_batch import OpponentBatch, TableSlice
 from airhockey_marl.players.networks import GaussianPolicy
-
-LEARNER, OPPONENT = "left", "right"  # seats are alike, so the learner always takes the left one
-
-
-@dataclass(frozen=True)
-class TableSlice:
-    """Of all tables, numbered from 0 to `of`, those from `first` to before `last`."""
-
-    first: int
-    last: int
-    of: int
-
-
-def actor(seat: str, policy: nn.Module, share: TableSlice | None = None) -> TensorDictModule:
-    """Let a policy act in a seat, sampling from its Gaussian; `share` says at which of all tables, see `GaussianSampling`."""
-    return TensorDictModule(
-        GaussianSampling(policy, share), in_keys=[(seat, "observation")], out_keys=[(seat, "action")]
-    )
-
-
-class GaussianSampling(nn.Module):
-    """Actions (..., 2) drawn from what a policy says about observations (..., 12).
-
-    A whole `ProbabilisticActor` would be slower: no algorithm here needs the log-probabilities of the moment, each
-    works them out for a batch at a time.
-
-    Args:
-        share: draw for all tables and use what falls to these, so that a table's noise does not depend on who plays
-            the others; None if these are all.
-    """
-
-    def __init__(self, policy: nn.Module, share: TableSlice | None = None) -> None:
-        super().__init__()
-        self.policy, self.share = policy, share
-
-    def forward(self, observation: torch.Tensor) -> torch.Tensor:
-        mean, std = self.policy(observation)
-        if self.share is None:
-            return mean + std * torch.randn_like(mean)
-        noise = torch.randn(self.share.of, *mean.shape[1:], dtype=mean.dtype)
-        return mean + std * noise[self.share.first : self.share.last]
-
-
-class SwappablePolicy(nn.Module):
-    """A place for a policy that can be given up to another while a collector runs."""
-
-    def __init__(self, policy: nn.Module) -> None:
-        super().__init__()
-        self.policy = policy
-
-    def forward(self, observation: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        return self.policy(observation)
-
-
-def learner_batch(data: TensorDictBase, shaping: RewardShaping, strength: float, gamma: float) -> TensorDictBase:
-    """What one seat lived through: (tables, ticks) with observation (.., 12), action (.., 2), reward (.., 1), next."""
-    check_numbers(0.0, strength=strength)
-    check_numbers(0.0, at_most=1.0, gamma=gamma)
-    view = data.select((LEARNER, "observation"), (LEARNER, "action"))[LEARNER].squeeze(-1)
-    following = data["next"].select("done", "terminated", "truncated")
-    following["observation"] = data["next", LEARNER, "observation"].squeeze(-2)
-    following["reward"] = data["next", LEARNER, "reward"].squeeze(-2)
-    if strength > 0:
-        following["reward"] += strength * shaping.reward(
-            view["observation"], following["observation"], following["terminated"], gamma
-        )
-    view["next"] = following
-    return view
-
+from airhockey_marl.self_play.two_player_policy import TwoPlayerPolicy
 
 SINGLE, MULTISYNC, RAY = "single", "multisync", "ray"
 KINDS = (SINGLE, MULTISYNC, RAY)
@@ -98,11 +27,11 @@ KINDS = (SINGLE, MULTISYNC, RAY)
 
 @dataclass(frozen=True)
 class CollectorConfig:
-    """How play is collected (`conf/collector`).
+    """Where rollouts are collected (`conf/collector`).
 
     Attributes:
-        kind: "single", "multisync" or "ray".
-        workers: among which the tables are divided, evenly.
+        kind: "single", in this process; "multisync", in processes of this machine; or "ray", in actors of a cluster.
+        workers: processes or actors; each has an equal share of the tables.
         address: of the Ray cluster: "local", "auto" or host:port.
     """
 
@@ -122,144 +51,140 @@ class CollectorConfig:
                 f"collector.address = {self.address!r} must be {LOCAL_CLUSTER}, auto or a cluster's host:port"
             )
         if self.kind == RAY and find_spec("ray") is None:
-            raise ValueError(f"collector.kind = {RAY} needs what `pip install 'airhockey-haptics[ray]'` brings")
+            raise ValueError(f"collector.kind = {RAY} needs Ray: pip install 'airhockey-haptics[ray]'")
 
 
-class TablesCollector(Collector):
-    """TorchRL's collector at some of the tables, and what must be said to it, in whichever process it lives."""
+class TableCollector(Collector):
+    """TorchRL's collector for one worker's tables; `RolloutWorkers` calls its methods in the worker's process."""
 
-    def begin(self, opponents: OpponentBatch, streams: np.ndarray) -> None:
-        """Begin new rounds, against these opponents, with these random numbers (tables,) uint64 of the tables."""
+    def start_rounds(self, opponents: OpponentBatch, rng_states: np.ndarray) -> None:
+        """Start new rounds against these opponents, serving from these random states (tables,) uint64."""
         self.policy.opponents.policy = opponents
-        at = 0
-        for stream in serve_rng_states(self.env):
-            stream[:] = streams[at : at + len(stream)]
-            at += len(stream)
+        first = 0
+        for state in serve_rng_states(self.env):
+            state[:] = rng_states[first : first + len(state)]
+            first += len(state)
         self.reset()
 
-    def follow(self, weights: Mapping[str, Tensor], random_state: Tensor) -> None:
-        """Take over the learner's weights, and torch's random numbers as they are where it learns."""
+    def load_weights(self, weights: Mapping[str, Tensor], torch_rng_state: Tensor) -> None:
+        """Load the learner's weights and the state of torch's random generator in the training process."""
         self.policy.learner.load_state_dict(weights)
-        torch.set_rng_state(random_state)
+        torch.set_rng_state(torch_rng_state)
 
-    def random_state(self) -> Tensor:
-        """Torch's random numbers, as they are after the play so far."""
+    def torch_rng_state(self) -> Tensor:
+        """The state of torch's random generator after the last rollout."""
         return torch.get_rng_state()
 
-    def streams(self) -> np.ndarray:
-        """The random numbers of the tables, (tables,) uint64."""
+    def table_rng_states(self) -> np.ndarray:
+        """The random states of the serves, (tables,) uint64."""
         return np.concatenate(serve_rng_states(self.env))
 
 
-class TwoPlayerPolicy(TensorDictSequential):
-    """What acts at a worker's tables: a copy of the learner, and whoever has been given the other seat."""
-
-    def __init__(self, learner: GaussianPolicy, share: TableSlice) -> None:
-        opponents = SwappablePolicy(learner)
-        super().__init__(actor(LEARNER, learner, share), actor(OPPONENT, opponents, share))
-        self.learner, self.opponents = learner, opponents
-
-
 class RolloutWorkers:
-    """The workers, and the play they bring.
+    """The workers that play the tables; rollouts do not depend on their kind and number, but for rounding.
 
     Args:
-        how: who they are.
-        env: what `make_env` wants, but the seed; its tables are divided among the workers.
-        seed: of the tables.
-        policy: whose architecture the learner has.
-        batch: steps that they bring at a time, over all tables.
+        config: kind and number of the workers.
+        env: the arguments of `make_env` without the seed; its tables are divided among the workers.
+        seed: of the serves.
+        policy: of the learner's architecture.
+        batch: steps of a rollout, over all tables.
+
+    Attributes:
+        rng_states: random states of the serves, (tables,) uint64, from which the next rounds start.
 
     Raises:
-        ValueError: there can be no such tables, seed or batch, or they cannot be divided among so many.
+        ValueError: the tables cannot be divided evenly, or the Ray cluster has too few cores.
     """
 
     def __init__(
-        self, how: CollectorConfig, env: Mapping[str, Any], seed: int, policy: GaussianPolicy, batch: int
+        self, config: CollectorConfig, env: Mapping[str, Any], seed: int, policy: GaussianPolicy, batch: int
     ) -> None:
-        check_counts(0, seed=seed)
-        check_counts(batch=batch)
-        tables, self.workers, self.batch = env["tables"], how.workers, batch
+        tables, self.workers, self.batch = env["tables"], config.workers, batch
         if tables % self.workers:
             raise ValueError(f"env.tables = {tables} must be a multiple of collector.workers = {self.workers}")
-        each = tables // self.workers
-        self.shares = [TableSlice(index * each, (index + 1) * each, tables) for index in range(self.workers)]
-        envs = [partial(make_env, **{**env, "tables": each, "seed": seed + share.first}) for share in self.shares]
-        seats = [partial(_both_seats, policy.architecture, share, torch.get_rng_state()) for share in self.shares]
-        # weights travel by `follow`, which waits until they have arrived, not in one of the collectors' own ways
+        size = tables // self.workers
+        self.slices = [TableSlice(worker * size, (worker + 1) * size, tables) for worker in range(self.workers)]
+        envs = [partial(make_env, **{**env, "tables": size, "seed": seed + part.first}) for part in self.slices]
+        policies = [partial(_make_policy, policy.architecture, part, torch.get_rng_state()) for part in self.slices]
+        # `load_weights` sends weights and waits for their arrival; the collectors' own ways do not
         warnings.filterwarnings("ignore", message=".*weight", category=UserWarning, module=r"torchrl\.collectors")
-        self.collector = _OPEN[how.kind](how, envs, seats, batch)
-        self.batches: Iterator[TensorDictBase] = iter(self.collector)
-        self.streams = np.concatenate(self._tell("streams"))
-        torch.set_rng_state(self._tell("random_state")[0])
+        self.collector = _COLLECTOR_FACTORIES[config.kind](config, envs, policies, batch)
+        self.rollouts: Iterator[TensorDictBase] = iter(self.collector)
+        self.rng_states = np.concatenate(self._call_workers("table_rng_states"))
+        torch.set_rng_state(self._call_workers("torch_rng_state")[0])
 
-    def begin(self, opponents: OpponentBatch) -> None:
-        """Begin new rounds, against these opponents, with the random numbers of `streams`."""
-        parts = [opponents.part(share.first, share.last, share.of) for share in self.shares]
-        self._tell("begin", list(zip(parts, np.split(self.streams, self.workers), strict=True)))
+    def start_rounds(self, opponents: OpponentBatch) -> None:
+        """Start new rounds against these opponents, serving from `rng_states`."""
+        slices = [opponents.slice(tables) for tables in self.slices]
+        rng_states = np.split(self.rng_states, self.workers)
+        self._call_workers("start_rounds", list(zip(slices, rng_states, strict=True)))
 
-    def play(self, weights: Mapping[str, Tensor]) -> TensorDictBase:
-        """The next batch (tables, steps), the learner at the left of each table playing by these weights."""
-        self._tell("follow", [(weights, torch.get_rng_state())] * self.workers)
-        play = next(self.batches)
-        torch.set_rng_state(self._tell("random_state")[0])  # each has drawn the same
-        return play.flatten(0, 1) if play.ndim == 3 else play
+    def rollout(self, weights: Mapping[str, Tensor]) -> TensorDictBase:
+        """The next batch of steps, (tables, steps), played by a learner with these weights."""
+        self._call_workers("load_weights", [(weights, torch.get_rng_state())] * self.workers)
+        data = next(self.rollouts)
+        torch.set_rng_state(self._call_workers("torch_rng_state")[0])  # the workers drew equally many numbers
+        return data.flatten(0, 1) if data.ndim == 3 else data
 
-    def end(self) -> None:
-        """Note the random numbers of the tables, from which the next rounds go on."""
-        self.streams[:] = np.concatenate(self._tell("streams"))
+    def save_rng_states(self) -> None:
+        """Update `rng_states` from the workers."""
+        self.rng_states[:] = np.concatenate(self._call_workers("table_rng_states"))
 
     def close(self) -> None:
-        """Let the workers go."""
+        """Shut the workers down."""
         self.collector.shutdown()
 
-    def _tell(self, what: str, arguments: list[tuple] | None = None) -> list:
-        """Call a method of each worker's `TablesCollector`."""
-        return self.collector.map_fn(what, arguments)
+    def _call_workers(self, method: str, arguments: list[tuple] | None = None) -> list:
+        """Call a method of the `TableCollector` of every worker; returns their results."""
+        return self.collector.map_fn(method, arguments)
 
 
-def _both_seats(facts: Mapping[str, Any], share: TableSlice, random_state: Tensor) -> TwoPlayerPolicy:
-    seats = TwoPlayerPolicy(GaussianPolicy.from_architecture(facts).requires_grad_(False), share)
-    torch.set_rng_state(random_state)  # a new collector tries its policy once: that, too, is the same everywhere
-    return seats
+def _make_policy(architecture: Mapping[str, Any], tables: TableSlice, torch_rng_state: Tensor) -> TwoPlayerPolicy:
+    policy = TwoPlayerPolicy(GaussianPolicy.from_architecture(architecture).requires_grad_(False), tables)
+    torch.set_rng_state(torch_rng_state)  # a new collector calls its policy once: with equal noise in every worker
+    return policy
 
 
-PLAIN = {"auto_register_policy_transforms": False}  # the tables give the keys that the policies want
+EnvFactories = list[Callable[[], EnvBase]]
+PolicyFactories = list[Callable[[], TwoPlayerPolicy]]
+COLLECTOR_OPTIONS = {"auto_register_policy_transforms": False}  # the environment already has the policy's keys
 
 
-def _single(how: CollectorConfig, envs: list, seats: list, batch: int) -> BaseCollector:
-    return TablesCollector(envs[0](), policy_factory=seats[0], frames_per_batch=batch, total_frames=-1, **PLAIN)
+def _single(config: CollectorConfig, envs: EnvFactories, policies: PolicyFactories, batch: int) -> BaseCollector:
+    options = {"frames_per_batch": batch, "total_frames": -1, **COLLECTOR_OPTIONS}
+    return TableCollector(envs[0](), policy_factory=policies[0], **options)
 
 
-def _multisync(how: CollectorConfig, envs: list, seats: list, batch: int) -> BaseCollector:
+def _multisync(config: CollectorConfig, envs: EnvFactories, policies: PolicyFactories, batch: int) -> BaseCollector:
     return MultiCollector(
         envs,
         sync=True,
-        policy_factory=seats,
+        policy_factory=policies,
         weight_sync_schemes={},
-        collector_class=TablesCollector,
+        collector_class=TableCollector,
         frames_per_batch=batch,
         total_frames=-1,
         cat_results="stack",
-        num_threads=torch.get_num_threads(),  # of this process, which it would set to another number
-        **PLAIN,
+        num_threads=torch.get_num_threads(),  # by default it would change the threads of this process
+        **COLLECTOR_OPTIONS,
     )
 
 
-def _ray(how: CollectorConfig, envs: list, seats: list, batch: int) -> BaseCollector:
+def _ray(config: CollectorConfig, envs: EnvFactories, policies: PolicyFactories, batch: int) -> BaseCollector:
     import ray
     from torchrl.collectors.distributed import RayCollector
 
-    cluster.join_ray_cluster(how.address, how.workers)
+    join_ray_cluster(config.address, config.workers)
     cores = int(ray.cluster_resources().get("CPU", 0))
-    if cores < how.workers:  # the actors would be waited for in vain
-        raise ValueError(f"collector.workers = {how.workers} must be at most {cores}, the cores of the Ray cluster")
+    if cores < config.workers:  # Ray would wait for free cores forever
+        raise ValueError(f"collector.workers = {config.workers} must be at most {cores}, the cores of the Ray cluster")
     return RayCollector(
         envs,
-        policy_factory=seats,
+        policy_factory=policies,
         weight_sync_schemes={},
-        collector_class=TablesCollector,
-        collector_kwargs=[dict(PLAIN) for _ in envs],
+        collector_class=TableCollector,
+        collector_kwargs=[dict(COLLECTOR_OPTIONS) for _ in envs],
         frames_per_batch=batch,
         total_frames=sys.maxsize,
         sync=True,
@@ -267,4 +192,4 @@ def _ray(how: CollectorConfig, envs: list, seats: list, batch: int) -> BaseColle
     )
 
 
-_OPEN = {SINGLE: _single, MULTISYNC: _multisync, RAY: _ray}
+_COLLECTOR_FACTORIES = {SINGLE: _single, MULTISYNC: _multisync, RAY: _ray}

@@ -1,7 +1,8 @@
-"""The training loop of a league: a generation learns, is frozen, measured and saved, again and again (section 3.2.2)."""
+"""The training of a league: each generation learns, is frozen, evaluated and saved (section 3.2.2)."""
 
 import sys
 import time
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -10,33 +11,29 @@ from omegaconf import DictConfig, OmegaConf
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
-from airhockey_marl.algorithms.base import Learner
 from airhockey_marl.algorithms.divergence import name_divergence
-from airhockey_marl.algorithms.reward_shaping import RewardShaping, shaping_strength
+from airhockey_marl.algorithms.reward_shaping import shaping_strength
 from airhockey_marl.evaluation import figures
-from airhockey_marl.evaluation.matches import play_each
+from airhockey_marl.evaluation.matches import MatchResult, play_opponents
 from airhockey_marl.experiment.checkpoint import Checkpoint
-from airhockey_marl.experiment.command import (
-    InputError,
-    report_input_errors,
-)
+from airhockey_marl.experiment.command import InputError, report_input_errors
 from airhockey_marl.experiment.files import name_write_errors, write_text
 from airhockey_marl.experiment.plotting import png_bytes
 from airhockey_marl.experiment.tensorboard import add_picture, log_run_header, open_writer, tensorboard_dir
-from airhockey_marl.league.league import League, PlayerId
+from airhockey_marl.league.league import League
+from airhockey_marl.league.opponent_batch import PlayerId
 from airhockey_marl.league.opponent_pool import OpponentPool
-from airhockey_marl.league.opponent_sampling import OpponentSampler
+from airhockey_marl.league.opponent_sampling import OPPONENT_SAMPLERS
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.scripted import REFERENCE_PLAYERS
-from airhockey_marl.self_play.collectors import RolloutWorkers
 from airhockey_marl.self_play.trainer import SelfPlayTrainer
 
-LEAGUE, MATCHES, STATE = "league.safetensors", "matches.csv", "state.safetensors"
-FACTS = {"generation": int, "matches": list, "goals": list, "seconds": float}  # of the state
-STRONGEST_SCRIPT = "striker"  # of the scripts: the strongest
-CARD_ROUNDS = 25  # times as many rounds as in training, for the scores on the card
-FILM_SECONDS, FILM_WIDTH = 6.0, 240  # of play, and pixels
-SEEDS_APART = 100_000  # more than there are tables in a match, each of which has a seed of its own
+LEAGUE_FILE, MATCHES_FILE, STATE_FILE = "league.safetensors", "matches.csv", "state.safetensors"
+STATE_METADATA = {"generation": int, "matches": list, "goals": list, "seconds": float}  # types in the state file
+STRONGEST_SCRIPT = "striker"
+CARD_ROUNDS_FACTOR = 25  # rounds on the model card / rounds after a generation: the card's win rates are kept for good
+FILM_SECONDS, FILM_WIDTH = 6.0, 240  # s, pixels: a film of about 200 KB
+SEED_STRIDE = 100_000  # between the match seeds of successive generations; a match uses a seed per table
 TAGS = {  # x is the number of steps of play
     "update/*": "statistics of the algorithm's updates, means over a generation (TRPO: kl, gain, step, std, ...)",
     "win_rate_against/*": "share of decided rounds that a new generation wins against an older one or a script",
@@ -58,108 +55,128 @@ LAYOUT = {
 }
 
 
-def train_league(
-    cfg: DictConfig,
-    folder: Path,
-    policy: GaussianPolicy,
-    learner: Learner,
-    crew: RolloutWorkers,
-    sampler: OpponentSampler,
-) -> tuple[League, float]:
-    """Run the league: generation after generation learns against those before it, is frozen and written to `folder`.
+class LeagueTraining:
+    """A league in training: the components, from the policy to the pool, and the progress that a checkpoint holds.
 
     Args:
-        cfg: what `check` has passed; with `resume`, it goes on after the last generation that `folder` holds.
-        policy: generation 0, trained in place by `learner`.
-        crew: plays the tables; the policy sits at the left of each.
-        sampler: chooses whom it meets.
+        cfg: as `conf/train.yaml`, checked.
 
-    Returns:
-        The league, and the seconds it took, before it was resumed and after.
+    Attributes:
+        generation: the number of the last finished generation.
+        matches: results of the new generations, the rows of matches.csv.
+        seconds: of training so far.
+
+    Raises:
+        ValueError: a setting is out of range; names it.
     """
-    checkpoint = Checkpoint({"policy": policy, **learner.parts()}, np.random.default_rng(cfg.seed), [crew.streams])
-    shaping = RewardShaping(cfg.shaping.position, cfg.shaping.velocity, cfg.shaping.shot, cfg.shaping.approach)
-    practice = SelfPlayTrainer(crew, policy, shaping, cfg.gamma)
-    pool = OpponentPool(League(GaussianPolicy(cfg.hidden, cfg.inputs)), cfg.league.anchors, sampler, cfg.league.memory)
-    pool.league.add(policy)
-    done, matches, seconds = 0, [], 0.0
+
+    def __init__(self, cfg: DictConfig) -> None:
+        self.cfg = cfg
+        self.trainer = SelfPlayTrainer.from_config(cfg)
+        self.league = League(GaussianPolicy(cfg.hidden, cfg.inputs))
+        self.league.add(self.trainer.policy)
+        sampler, options = OPPONENT_SAMPLERS.build(cfg.league.sampler, "league.sampler"), cfg.league
+        self.pool = OpponentPool(self.league, options.scripted_players, sampler, options.win_rate_decay)
+        self.rng = np.random.default_rng(cfg.seed)  # draws the opponents
+        modules = {"policy": self.trainer.policy, **self.trainer.learner.modules()}
+        self.checkpoint = Checkpoint(modules, self.rng, [self.trainer.workers.rng_states])
+        self.generation, self.matches, self.seconds = 0, [], 0.0
+
+    def save(self, folder: Path) -> None:
+        """Write league, matches and state."""
+        self.league.save(folder / LEAGUE_FILE)
+        write_text(folder / MATCHES_FILE, pd.DataFrame(self.matches).to_csv(index=False))
+        metadata = {"generation": self.generation, "matches": self.matches, "seconds": self.seconds}
+        self.checkpoint.save(folder / STATE_FILE, {**metadata, "goals": list(self.pool.goals.items())})
+
+    def load(self, folder: Path) -> None:
+        """Continue from the files written by `save`.
+
+        Raises:
+            ValueError: a file is missing, broken or of another run.
+        """
+        league = League.load(folder / LEAGUE_FILE)
+        metadata = self.checkpoint.load(folder / STATE_FILE, STATE_METADATA)  # sets all random states, so it is last
+        self.generation, self.matches = metadata["generation"], metadata["matches"]
+        self.seconds, self.pool.goals = metadata["seconds"], dict(metadata["goals"])
+        if not 0 <= self.generation < len(league):
+            raise InputError(f"resume = {folder}: {LEAGUE_FILE} lacks generation {self.generation} of {STATE_FILE}")
+        self.league = self.pool.league = league.prefix(self.generation)  # it may have one more, if saving was stopped
+
+
+def train_league(training: LeagueTraining, folder: Path) -> None:
+    """Train the generations that are missing, and write the run's files to `folder` after each."""
+    cfg, trainer, pool = training.cfg, training.trainer, training.pool
     if cfg.resume is not None:
         with report_input_errors():
-            written = League.load(folder / LEAGUE)
-            facts = checkpoint.load(folder / STATE, FACTS)  # last: now the random numbers are those of the run
-            if not 0 <= facts["generation"] < len(written):
-                raise InputError(f"resume = {folder}: {LEAGUE} lacks generation {facts['generation']} of {STATE}")
-        done, matches, seconds = facts["generation"], facts["matches"], facts["seconds"]
-        pool.goals = dict(facts["goals"])
-        pool.league = written.until(done)
-    # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
-    board = open_writer(tensorboard_dir(folder), done * cfg.steps_per_generation + 1)
-    if not done:
-        log_run_header(board, cfg, TAGS, LAYOUT)
-    began = time.perf_counter() - seconds
-    todo = range(done + 1, cfg.generations + 1)
-    bar = tqdm(todo, desc="generation", initial=done, total=cfg.generations, file=sys.stderr, disable=None)
+            training.load(folder)
+    # scalars that a killed run logged after its last checkpoint are purged: they will be logged again
+    writer = open_writer(tensorboard_dir(folder), training.generation * cfg.steps_per_generation + 1)
+    if not training.generation:
+        log_run_header(writer, cfg, TAGS, LAYOUT)
+    start = time.perf_counter() - training.seconds
+    generations = range(training.generation + 1, cfg.generations + 1)
+    progress = {"initial": training.generation, "total": cfg.generations, "file": sys.stderr, "disable": None}
+    bar = tqdm(generations, desc="generation", **progress)
     for generation in bar:
-        opponents = pool.draw(cfg.league.opponents, checkpoint.rng)
+        opponents = pool.sample(cfg.league.opponents, training.rng)
         strength = shaping_strength(generation, cfg.shaping.generations)
-        with name_divergence(f"generation {generation}", folder / STATE):
-            metrics, goals = practice.generation(learner, opponents, cfg.steps_per_generation, strength)
-        pool.remember(opponents.members, goals)
-        pool.league.add(policy)
-        others = reference_opponents(generation, cfg.league.match_every)
-        results = play_each(
-            pool.league.player(generation),
-            pool.league.lineup(others),
-            cfg.league.match_rounds,
-            cfg.seed + SEEDS_APART * generation,
-            cfg.env.frame_skip,
-        )
-        matches += [
-            {"generation": generation, "opponent": opponent, **result._asdict()} for opponent, result in results.items()
+        with name_divergence(f"generation {generation}", folder / STATE_FILE):
+            metrics, goals = trainer.train_generation(opponents, cfg.steps_per_generation, strength)
+        pool.update(opponents.player_ids, goals)
+        training.league.add(trainer.policy)
+        results = evaluate_generation(training.league, generation, cfg)
+        training.matches += [
+            {"generation": generation, "opponent": opponent, **result.as_row()} for opponent, result in results.items()
         ]
-
-        step, seconds = generation * cfg.steps_per_generation, time.perf_counter() - began
-        rates = {str(opponent): result.win_rate for opponent, result in results.items()}
-        scalars = {f"update/{name}": value for name, value in metrics.items()}
-        scalars |= {f"win_rate_against/{name}": value for name, value in rates.items()}
+        training.generation, training.seconds = generation, time.perf_counter() - start
         with name_write_errors(tensorboard_dir(folder)):
-            for name, value in {**scalars, "speed/steps_per_s": step / seconds}.items():
-                board.add_scalar(name, value, step)
-            if cfg.pictures_every and (generation % cfg.pictures_every == 0 or generation == cfg.generations):
-                log_pictures(board, pool.league, matches, cfg.seed, cfg.env.frame_skip, step)
-            board.flush()
-        pool.league.save(folder / LEAGUE)
-        write_text(folder / MATCHES, pd.DataFrame(matches).to_csv(index=False))
-        facts = {"generation": generation, "matches": matches, "goals": list(pool.goals.items()), "seconds": seconds}
-        checkpoint.save(folder / STATE, facts)
-        bar.set_postfix({name: f"{rates[name]:.2f}" for name in ("0", *REFERENCE_PLAYERS)})
-    board.close()
-    return pool.league, time.perf_counter() - began
+            log_generation(writer, training, metrics, results)
+        training.save(folder)
+        bar.set_postfix({str(name): f"{results[name].win_rate:.2f}" for name in (0, *REFERENCE_PLAYERS)})
+    writer.close()
+    training.seconds = time.perf_counter() - start
 
 
-def log_pictures(
-    board: SummaryWriter, league: League, matches: list[dict], seed: int, frame_skip: int, step: int
+def evaluate_generation(league: League, generation: int, cfg: DictConfig) -> dict[PlayerId, MatchResult]:
+    """Matches of a new generation against every `league.match_every`-th one before it and the scripted players."""
+    opponents = league.opponent_batch([*range(0, generation, cfg.league.match_every), *REFERENCE_PLAYERS])
+    seed = cfg.seed + SEED_STRIDE * generation
+    return play_opponents(league.player(generation), opponents, cfg.league.match_rounds, seed, cfg.env.frame_skip)
+
+
+def log_generation(
+    writer: SummaryWriter,
+    training: LeagueTraining,
+    metrics: Mapping[str, float],
+    results: Mapping[PlayerId, MatchResult],
 ) -> None:
-    """Log the newest generation against the strongest script, as a film, and all matches so far, as a heat map.
+    """Log the newest generation to TensorBoard: mean metrics of its updates, win rates, speed, and some pictures.
 
-    The random numbers are the film's own: the league is the same with pictures and without.
+    The pictures are a film against the strongest script and a heat map of all matches. The film has a random generator
+    of its own, so `pictures_every` does not change the league.
     """
-    seats, how = (len(league) - 1, STRONGEST_SCRIPT), {"frame_skip": frame_skip, "width": FILM_WIDTH}
-    add_picture(board, "league/film", figures.film(league, seats, seed, FILM_SECONDS, **how), step)
-    add_picture(board, "league/win_rates", png_bytes(figures.win_rates_figure(pd.DataFrame(matches)), 100), step)
-
-
-def reference_opponents(generation: int, every: int) -> list[PlayerId]:
-    """Whom a new generation is measured against: each `every`-th generation before it, and the scripted anchors."""
-    return [*range(0, generation, every), *REFERENCE_PLAYERS]
+    cfg, generation = training.cfg, training.generation
+    step = generation * cfg.steps_per_generation
+    scalars = {f"update/{name}": value for name, value in metrics.items()}
+    scalars |= {f"win_rate_against/{opponent}": result.win_rate for opponent, result in results.items()}
+    for name, value in {**scalars, "speed/steps_per_s": step / training.seconds}.items():
+        writer.add_scalar(name, value, step)
+    if cfg.pictures_every and (generation % cfg.pictures_every == 0 or generation == cfg.generations):
+        players, options = (generation, STRONGEST_SCRIPT), {"frame_skip": cfg.env.frame_skip, "width": FILM_WIDTH}
+        film = figures.film(training.league, players, cfg.seed, FILM_SECONDS, **options)
+        add_picture(writer, "league/film", film, step)
+        heat_map = png_bytes(figures.win_rates_figure(pd.DataFrame(training.matches)), 100)
+        add_picture(writer, "league/win_rates", heat_map, step)
+    writer.flush()
 
 
 def model_card(cfg: DictConfig, league: League) -> dict:
-    """The model card of a league: what it is, and how its last generation plays."""
+    """The model card of a league: its origin, hashes and configuration, and the last generation's win rates."""
     last = len(league) - 1
-    others = [*sorted({0, last // 4, last // 2, 3 * last // 4} - {last}), *REFERENCE_PLAYERS]
-    rounds = CARD_ROUNDS * cfg.league.match_rounds
-    results = play_each(league.player(last), league.lineup(others), rounds, cfg.seed + 1, cfg.env.frame_skip)
+    opponents = [*sorted({0, last // 4, last // 2, 3 * last // 4} - {last}), *REFERENCE_PLAYERS]
+    rounds, batch = CARD_ROUNDS_FACTOR * cfg.league.match_rounds, league.opponent_batch(opponents)
+    results = play_opponents(league.player(last), batch, rounds, cfg.seed + 1, cfg.env.frame_skip)
     return {
         "model": "optimal action model: a league of self-play generations (section 3.2.2)",
         "date": time.strftime("%Y-%m-%d"),

@@ -1,64 +1,82 @@
-"""Where play, algorithm and league meet: a learner plays a line-up of opponents, generation after generation."""
+"""One generation of self-play: rollouts against a batch of opponents, and updates of the learner."""
+
+from dataclasses import dataclass
 
 import numpy as np
 import torch
+from omegaconf import DictConfig
 from tensordict import TensorDictBase
 
-from airhockey_marl.algorithms.base import Learner
+from airhockey_marl.algorithms.base import ALGORITHMS, Learner
 from airhockey_marl.algorithms.divergence import require_finite_modules, require_sound_metrics
 from airhockey_marl.algorithms.reward_shaping import RewardShaping
-from airhockey_marl.experiment.validation import check_counts, check_numbers
-from airhockey_marl.league.league import OpponentBatch
+from airhockey_marl.league.opponent_batch import OpponentBatch
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.self_play.collectors import LEARNER, RolloutWorkers, learner_batch
+from airhockey_marl.self_play.collectors import CollectorConfig, RolloutWorkers
+from airhockey_marl.self_play.two_player_policy import LEARNER, learner_batch
 
 
+@dataclass(frozen=True)
 class SelfPlayTrainer:
-    """One policy's learning: the learner sits at the left of each table, a line-up at the right.
+    """Trains one policy, on the left of each table, against opponents on the right.
 
-    Args:
-        crew: who plays the tables.
-        policy: learns, on its own device; the tables are played on CPUs.
-        gamma: discount per decision, for the shaping.
+    Attributes:
+        policy: trained in place by `learner`, on its own device.
+        workers: play the tables, on CPUs.
+        gamma: discount per decision.
     """
 
-    def __init__(self, crew: RolloutWorkers, policy: GaussianPolicy, shaping: RewardShaping, gamma: float) -> None:
-        check_numbers(0.0, at_most=1.0, gamma=gamma)
-        self.crew, self.policy, self.shaping, self.gamma = crew, policy, shaping, gamma
-        self.device = next(policy.parameters()).device
+    policy: GaussianPolicy
+    learner: Learner
+    workers: RolloutWorkers
+    shaping: RewardShaping
+    gamma: float
 
-    def generation(
-        self, learner: Learner, opponents: OpponentBatch, steps: int, strength: float
-    ) -> tuple[dict[str, float], np.ndarray]:
-        """Learn from `steps` steps against these opponents, with shaping of this strength (0 to 1).
-
-        Returns:
-            The metrics of the updates, averaged; and the goals scored and conceded against each of the line-up (k, 2).
+    @classmethod
+    def from_config(cls, cfg: DictConfig) -> "SelfPlayTrainer":
+        """A new policy and all that trains it, from a configuration as `conf/train.yaml`.
 
         Raises:
-            FloatingPointError: learning has gone wrong for good, see `guards`.
+            ValueError: a setting is out of range; names it.
         """
-        check_counts(self.crew.batch, steps=steps)
-        check_numbers(0.0, at_most=1.0, strength=strength)
-        self.crew.begin(opponents)  # a generation depends on nothing but the league, the learner, the random numbers
-        history, goals = [], np.zeros((len(opponents.members), 2), dtype=np.int64)
-        for _ in range(steps // self.crew.batch):
+        policy = GaussianPolicy(cfg.hidden, cfg.inputs).to(cfg.compute)
+        learner = ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, cfg.gamma)
+        workers = RolloutWorkers(CollectorConfig(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)
+        shaping = RewardShaping(cfg.shaping.position, cfg.shaping.velocity, cfg.shaping.shot, cfg.shaping.approach)
+        return cls(policy, learner, workers, shaping, cfg.gamma)
+
+    def train_generation(
+        self, opponents: OpponentBatch, steps: int, shaping_strength: float
+    ) -> tuple[dict[str, float], np.ndarray]:
+        """Train on `steps` steps against these opponents.
+
+        Args:
+            steps: a multiple of the workers' batch.
+            shaping_strength: factor of the shaping, 0 to 1.
+
+        Returns:
+            The mean metrics of the updates, and the goals scored and conceded against each opponent (k, 2).
+
+        Raises:
+            FloatingPointError: training has diverged, see `algorithms.divergence`.
+        """
+        device = next(self.policy.parameters()).device
+        # every generation starts new rounds: it depends on league, learner and random states only, which are saved
+        self.workers.start_rounds(opponents)
+        history, goals = [], np.zeros((len(opponents.player_ids), 2), dtype=np.int64)
+        for _ in range(steps // self.workers.batch):
             with torch.no_grad():
-                play = self.crew.play({name: tensor.cpu() for name, tensor in self.policy.state_dict().items()})
-                goals += count_goals(play, len(opponents.members))
-                view = learner_batch(play, self.shaping, strength, self.gamma)
-            history.append(learner.update(view.to(self.device)))
+                data = self.workers.rollout({name: tensor.cpu() for name, tensor in self.policy.state_dict().items()})
+                goals += count_goals(data, len(opponents.player_ids))
+                batch = learner_batch(data, self.shaping, shaping_strength, self.gamma)
+            history.append(self.learner.update(batch.to(device)))
             require_sound_metrics(history[-1])
-        self.crew.end()
-        require_finite_modules({"policy": self.policy, **learner.parts()})
+        self.workers.save_rng_states()
+        require_finite_modules({"policy": self.policy, **self.learner.modules()})
         return {name: float(np.mean([metrics[name] for metrics in history])) for name in history[0]}, goals
 
 
-def count_goals(play: TensorDictBase, members: int) -> np.ndarray:
-    """Goals scored and conceded (members, 2) by the learner, by blocks of tables: one for each of a line-up."""
-    check_counts(members=members)
-    reward = play["next", LEARNER, "reward"]
-    if len(reward) % members:
-        raise ValueError(f"members = {members} must share {len(reward)} tables evenly")
-    reward = reward.reshape(members, -1)
+def count_goals(data: TensorDictBase, opponents: int) -> np.ndarray:
+    """Goals scored and conceded (opponents, 2) by the learner; each opponent plays a block of consecutive tables."""
+    reward = data["next", LEARNER, "reward"].reshape(opponents, -1)
     return torch.stack([(reward > 0).sum(1), (reward < 0).sum(1)], dim=1).numpy()

@@ -21,16 +21,14 @@ import torch
 from hydra import compose, initialize_config_dir
 from torch.func import grad_and_value
 
-from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.world import AGENTS, World
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
-from airhockey_marl.league.opponent_sampling import OPPONENT_SAMPLERS
 from airhockey_marl.players.networks import USER_PREDICTION_HIDDEN, GaussianPolicy
 from airhockey_marl.self_play.collectors import MULTISYNC, CollectorConfig, RolloutWorkers
-from airhockey_marl.self_play.league_training import train_league
+from airhockey_marl.self_play.league_training import LeagueTraining, train_league
 from guidance.commands.meta_train import COMPILERS
 from guidance.simulated_users import SimulatedUsers, load_advisors, personal_streams, sample_people
 from guidance.study.setup import load_setup
@@ -96,23 +94,16 @@ def collected_frames(config: CollectorConfig, batch: int = 5000, tables: int = 2
     league, weights = League(policy), policy.state_dict()
     league.add(policy)
     with closing(RolloutWorkers(config, env, 0, policy, batch)) as workers, torch.no_grad():
-        workers.begin(league.lineup([0] * 25))
-        return batch / seconds(lambda: workers.play(weights), runs=20)
+        workers.start_rounds(league.opponent_batch([0] * 25))
+        return batch / seconds(lambda: workers.rollout(weights), runs=20)
 
 
 def trained_frames(*overrides: str, generations: int = 2, steps: int = 100_000) -> float:
     """Frames/s of training end to end: collection, advantages, update, freezing, matches, files."""
     cfg = config("train", f"generations={generations}", f"steps_per_generation={steps}", *overrides)
-    policy = GaussianPolicy(cfg.hidden, cfg.inputs)
-    learner, sampler = (
-        ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, cfg.gamma),
-        OPPONENT_SAMPLERS.build(cfg.league.sampler, "league.sampler"),
-    )
-    with (
-        closing(RolloutWorkers(CollectorConfig(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)) as workers,
-        tempfile.TemporaryDirectory() as folder,
-    ):
-        elapsed = seconds(lambda: train_league(cfg, Path(folder), policy, learner, workers, sampler), runs=1)
+    training = LeagueTraining(cfg)
+    with closing(training.trainer.workers), tempfile.TemporaryDirectory() as folder:
+        elapsed = seconds(lambda: train_league(training, Path(folder)), runs=1)
     return generations * steps / elapsed
 
 

@@ -5,10 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from tensordict import TensorDict
 
-from airhockey_marl.algorithms.advantages import advantages
-from airhockey_marl.algorithms.trpo import kl_divergence, log_prob
 from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import LEFT, TableSpec, check_table
 from airhockey_marl.envs.torchrl_env import make_env
@@ -33,14 +30,8 @@ TWO, POLICY = World(2), GaussianPolicy([4])
 ACTIONS, ROWS = np.zeros((2, 2, 2)), np.array([0, 1])
 VECTOR, ELSEWHERE = torch.zeros(3, 2), torch.zeros(3, 2, device="meta")
 SEEN, DONE = torch.zeros(2, 3, 5, 12), torch.zeros(2, 3, 5, 2)
-DATA, VIEW = Demonstrations(SEEN, DONE), TensorDict({"observation": SEEN[0]}, [3, 5])
+DATA = Demonstrations(SEEN, DONE)
 PEOPLE = SimulatedUsers(sample_people(2, 0), personal_streams(2, 0))
-
-
-def lineup() -> torch.nn.Module:
-    league = League(POLICY)
-    league.add(POLICY)
-    return league.lineup([0, "striker"])
 
 
 TABLE = [
@@ -84,16 +75,9 @@ TABLE = [
     (lambda: GaussianPolicy("64"), r"hidden = '64' must name"),
     (lambda: GaussianPolicy([4], "puck"), r"inputs = 'puck' must be 'table' or 'paddle'"),
     (lambda: Critic([0]), r"hidden = \(0,\) must name"),
-    (lambda: lineup()(torch.zeros(3, 12)), r"observation: 3 tables, must be a multiple of 2 members"),
     (lambda: League(POLICY).generation(0), r"generation = 0 must be below 0"),
-    (lambda: League(POLICY).lineup(["goalie"]), r"anchor = 'goalie' must be one of"),
+    (lambda: League(POLICY).opponent_batch(["goalie"]), r"scripted player = 'goalie' must be one of"),
     (lambda: DeltaUniform(1.0), r"delta = 1\.0 must be at least 0 and below 1"),
-    (lambda: log_prob(VECTOR, VECTOR, ELSEWHERE), r"action: on meta, must be on cpu beside mean, std"),
-    (
-        lambda: kl_divergence(VECTOR, VECTOR, VECTOR, VECTOR[:1]),
-        r"new_std: shape \(1, 2\), must be \(3, 2\) beside mean",
-    ),
-    (lambda: advantages(None, VIEW, 0.9, 0.9), r"view: has no next\.observation, next\.reward, next\.done"),
     (lambda: bradley_terry(np.zeros((2, 3)), 0), r"wins: shape \(2, 3\), must be \(k, k\)"),
     (lambda: bradley_terry(np.array([[0, -1], [1, 0]]), 0), r"wins = -1 must be counts of at least 0"),
     (

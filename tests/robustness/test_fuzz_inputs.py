@@ -145,7 +145,7 @@ def test_tensors_with_different_numbers_of_generations_are_refused(tmp_path):
     stacked = {name: tensor[None].expand(3, *tensor.shape).clone() for name, tensor in policy.state_dict().items()}
     for wrong in ({"head.bias": torch.zeros(2, 4)}, {name: tensor[:0] for name, tensor in stacked.items()}):
         save_tensors(path, stacked | wrong, policy.architecture)
-        with pytest.raises(ValueError, match=r"is of \d generations, must be of \d"):
+        with pytest.raises(ValueError, match=r"has \d generations, must have \d"):
             League.load(path)
 
 

@@ -1,4 +1,4 @@
-"""Learning that has gone wrong is stopped with the reason, whatever the algorithm, and the last good state stays."""
+"""Diverged training stops with the reason, for every algorithm, and the last checkpoint remains."""
 
 import math
 import sys
@@ -23,7 +23,7 @@ from guidance.user_model.training import train_maml, train_supervised
 SOUND = {"kl": 0.01, "std": 0.3, "critic_loss": 1.0}
 
 
-def test_what_is_sound_passes():
+def test_sound_metrics_and_weights_pass():
     require_sound_metrics(SOUND)
     require_sound_metrics({"q_loss": 0.0, "std": 0.001})
     require_finite_modules({"policy": GaussianPolicy([4])})
@@ -32,20 +32,20 @@ def test_what_is_sound_passes():
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"critic_loss": math.nan}, r"update/critic_loss = nan: learning has diverged"),
+        ({"critic_loss": math.nan}, r"update/critic_loss = nan: training has diverged"),
         ({"q_loss": math.inf}, r"update/q_loss = inf"),
         ({"kl": 11.0}, r"update/kl = 11 nats in one update, must be at most 10"),
         ({"kl": math.nan}, r"update/kl = nan"),
-        ({"std": 0.0}, r"update/std = 0: the policy is dead"),
-        ({"std": 1.0}, r"update/std = 1: the policy is dead"),
+        ({"std": 0.0}, r"update/std = 0: must be between 0.0001 and 0.9999"),
+        ({"std": 1.0}, r"update/std = 1: must be between 0.0001 and 0.9999"),
     ],
 )
-def test_what_is_not_is_named(change, message):
+def test_unsound_metrics_are_named(change, message):
     with pytest.raises(FloatingPointError, match=message):
         require_sound_metrics(SOUND | change)
 
 
-def test_weights_and_memories_are_looked_at():
+def test_weights_and_optimizer_states_are_checked():
     policy = GaussianPolicy([4])
     optimizer = torch.optim.Adam(policy.parameters())
     policy(torch.zeros(2, 12))[0].sum().backward()
@@ -59,7 +59,7 @@ def test_weights_and_memories_are_looked_at():
         require_finite_modules({"policy": policy})
 
 
-def test_what_is_left_is_said(tmp_path):
+def test_message_names_the_phase_and_the_checkpoint(tmp_path):
     for file, left in ((tmp_path / "none", "nothing was written yet"), (tmp_path, "nothing was written yet")):
         with (
             pytest.raises(FloatingPointError, match=f"stopped in generation 3: gone; {left}"),
@@ -68,11 +68,11 @@ def test_what_is_left_is_said(tmp_path):
             raise FloatingPointError("gone")
 
 
-def play_with(value: float) -> TensorDict:
-    """A batch in which one reward, or one observation, is no number."""
+def batch_with(reward: float) -> TensorDict:
+    """A batch of transitions, one of them with this reward."""
     generator = torch.Generator().manual_seed(0)
     shape = (4, 32)
-    view = TensorDict(
+    batch = TensorDict(
         {
             "observation": torch.randn(*shape, 12, generator=generator),
             "action": torch.randn(*shape, 2, generator=generator).clamp(-1, 1),
@@ -84,12 +84,12 @@ def play_with(value: float) -> TensorDict:
         },
         shape,
     )
-    view["next", "reward"][1, 5] = value
-    return view
+    batch["next", "reward"][1, 5] = reward
+    return batch
 
 
 @pytest.mark.parametrize("algorithm", ["trpo", "ppo", "sac"])
-def test_every_algorithm_shows_a_reward_that_is_no_number(algorithm):
+def test_every_algorithm_detects_a_nan_reward(algorithm):
     with initialize_config_dir(str(CONF), version_base="1.3"):
         overrides = [f"algorithm={algorithm}", "+preset=smoke"]
         cfg = compose("train", overrides=overrides)
@@ -98,35 +98,35 @@ def test_every_algorithm_shows_a_reward_that_is_no_number(algorithm):
     torch.manual_seed(0)
     policy = GaussianPolicy([8], "paddle")
     learner = ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, 0.99)
-    require_sound_metrics(learner.update(play_with(0.0)))
-    require_finite_modules({"policy": policy, **learner.parts()})
+    require_sound_metrics(learner.update(batch_with(0.0)))
+    require_finite_modules({"policy": policy, **learner.modules()})
     with pytest.raises((FloatingPointError, ValueError), match=r"nan|not finite"):
-        require_sound_metrics(learner.update(play_with(math.nan)))
-        require_finite_modules({"policy": policy, **learner.parts()})
+        require_sound_metrics(learner.update(batch_with(math.nan)))
+        require_finite_modules({"policy": policy, **learner.modules()})
 
 
-def test_trpo_takes_no_step_of_which_it_cannot_say_where_it_leads():
+def test_trpo_takes_no_step_along_a_nan_gradient():
     with initialize_config_dir(str(CONF), version_base="1.3"):
         settings = ALGORITHMS.build(compose("train").algorithm, "algorithm")
     learner = TRPOLearner(settings, GaussianPolicy([8]), 0.99)
     before = [parameter.clone() for parameter in learner.policy.parameters()]
     observation, action = torch.randn(50, 12), torch.randn(50, 2)
-    metrics = learner.improve_policy(observation, action, torch.full((50,), math.nan))
-    assert metrics["step"] == 0.0  # counted: the mean of `step` is the share of updates
+    metrics = learner.update_policy(observation, action, torch.full((50,), math.nan))
+    assert metrics["step"] == 0.0
     assert all(torch.equal(a, b) for a, b in zip(before, learner.policy.parameters(), strict=True))
 
 
-def test_a_training_that_diverges_ends_in_one_line_with_its_last_good_state(tmp_path, monkeypatch, capsys):
-    """In its third generation rewards become NaN; what the second had written is as it was."""
+def test_diverged_training_ends_in_one_line_and_can_be_resumed(tmp_path, monkeypatch, capsys):
+    """A reward of the third generation is NaN; the files of the second remain."""
     few = ["+preset=smoke", "generations=4", "steps_per_generation=500", f"hydra.run.dir={tmp_path}/run"]
     update, calls, kept = TRPOLearner.update, [], {}
 
-    def spoiled(self, view):
+    def spoiled(self, batch):
         calls.append(1)
         if len(calls) == 3:
             kept.update({path.name: path.read_bytes() for path in (tmp_path / "run").glob("*.safetensors")})
-            view["next", "reward"][0, 0] = math.nan
-        return update(self, view)
+            batch["next", "reward"][0, 0] = math.nan
+        return update(self, batch)
 
     monkeypatch.setattr(TRPOLearner, "update", spoiled)
     monkeypatch.setattr(sys, "argv", ["train", *few])
@@ -147,7 +147,7 @@ def test_a_training_that_diverges_ends_in_one_line_with_its_last_good_state(tmp_
 
 @pytest.mark.parametrize("training", [train_maml, train_supervised])
 @pytest.mark.parametrize("spoil", [1e30, -1e30])
-def test_user_models_that_diverge_are_left_as_they_last_were(training, spoil):
+def test_diverged_user_models_keep_their_last_weights(training, spoil):
     generator = torch.Generator().manual_seed(0)
     observation = torch.randn(2, 2, 60, 12, generator=generator)
     data = Demonstrations(observation, torch.full((2, 2, 60, 2), spoil))
@@ -159,7 +159,7 @@ def test_user_models_that_diverge_are_left_as_they_last_were(training, spoil):
     assert all(torch.equal(a, b) for a, b in zip(before, model.parameters(), strict=True))
 
 
-def test_a_meta_training_that_diverges_ends_in_one_line(tmp_path, monkeypatch, capsys):
+def test_diverged_meta_training_ends_in_one_line(tmp_path, monkeypatch, capsys):
     whole = meta_train.train_maml
 
     def spoiled(*arguments, **options):

@@ -1,4 +1,4 @@
-"""Shaping cannot change the optimum: over any path it adds nothing but the potential of where the path begins."""
+"""Potential-based shaping: over any trajectory it adds the potential of its first state only."""
 
 import pytest
 import torch
@@ -8,20 +8,20 @@ from airhockey_marl.algorithms.reward_shaping import RewardShaping
 SHAPING = RewardShaping(position=0.3, velocity=0.6, shot=0.4, approach=0.6)
 
 
-def path(ticks: int) -> torch.Tensor:
+def trajectory(ticks: int) -> torch.Tensor:
     return torch.randn(ticks + 1, 12, generator=torch.Generator().manual_seed(0))
 
 
 def test_discounted_rewards_telescope_to_the_first_potential():
-    gamma, seen = 0.98, path(50)
+    gamma, observation = 0.98, trajectory(50)
     terminated = torch.zeros(50, 1, dtype=torch.bool)
     terminated[-1] = True
-    rewards = SHAPING.reward(seen[:-1], seen[1:], terminated, gamma)
+    rewards = SHAPING.reward(observation[:-1], observation[1:], terminated, gamma)
     total = (gamma ** torch.arange(50)[:, None] * rewards).sum()
-    assert total.item() == pytest.approx(-SHAPING.potential(seen[:1]).item(), abs=1e-5)
+    assert total.item() == pytest.approx(-SHAPING.potential(observation[:1]).item(), abs=1e-5)
 
 
-def test_the_potential_prefers_what_it_says():
+def test_potential_increases_with_each_of_its_terms():
     state = torch.zeros(12)
     state[0], state[8] = -0.5, -0.3  # paddle and puck on the own side
 

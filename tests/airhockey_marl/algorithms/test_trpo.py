@@ -1,4 +1,4 @@
-"""TRPO's mathematics: the solver, the Fisher matrix, the trust region, and that it learns."""
+"""TRPO: conjugate gradient, Fisher-vector product, trust region, and learning."""
 
 import pytest
 import torch
@@ -67,41 +67,41 @@ def test_fisher_vector_product_is_the_hessian_of_the_kl():
 
 def test_advantages_agree_with_torchrl():
     torch.manual_seed(0)
-    critic, seen = Critic([16]), torch.randn(30, 21, 12)
+    critic, scaled = Critic([16]), torch.randn(30, 21, 12)
     done = torch.rand(30, 20, 1) < 0.1
     terminated = done & (torch.rand(30, 20, 1) < 0.5)
-    after = {
-        "observation": torch.where(done, torch.randn(30, 20, 12), seen[:, 1:]),  # a round begins elsewhere
+    next_step = {
+        "observation": torch.where(done, torch.randn(30, 20, 12), scaled[:, 1:]),  # a round begins elsewhere
         "reward": torch.randn(30, 20, 1),
         "done": done,
         "terminated": terminated,
     }
-    view = TensorDict({"observation": seen[:, :-1], "next": TensorDict(after, [30, 20])}, [30, 20])
-    advantage, target = advantages(critic, view, 0.98, 0.95)
+    batch = TensorDict({"observation": scaled[:, :-1], "next": TensorDict(next_step, [30, 20])}, [30, 20])
+    advantage, target = advantages(critic, batch, 0.98, 0.95)
     value = TensorDictModule(critic, in_keys=["observation"], out_keys=["state_value"])
     with torch.no_grad():
-        expected = GAE(gamma=0.98, lmbda=0.95, value_network=value)(view)
+        expected = GAE(gamma=0.98, lmbda=0.95, value_network=value)(batch)
     assert torch.allclose(advantage, expected["advantage"], atol=1e-6)
     assert torch.allclose(target, expected["value_target"], atol=1e-6)
 
 
 def bandit(policy: GaussianPolicy, generator: torch.Generator, rounds: int = 2000) -> TensorDict:
-    """Play that lasts one decision: the best action is half of the first two numbers that the policy sees."""
-    seen = torch.randn(rounds, 1, 12, generator=generator)
-    observation = seen * torch.tensor(BODY_SCALE * 3)
+    """Rounds of one decision; the best action is half of the first two numbers of the observation."""
+    scaled = torch.randn(rounds, 1, 12, generator=generator)
+    observation = scaled * torch.tensor(BODY_SCALE * 3)
     with torch.no_grad():
         mean, std = policy(observation)
     action = mean + std * torch.randn(mean.shape, generator=generator)
-    reward = -((action - 0.5 * seen[..., :2]) ** 2).sum(-1, keepdim=True)
-    over = torch.ones(rounds, 1, 1, dtype=torch.bool)
-    after = {"observation": observation, "reward": reward, "done": over, "terminated": over, "truncated": ~over}
+    reward = -((action - 0.5 * scaled[..., :2]) ** 2).sum(-1, keepdim=True)
+    done = torch.ones(rounds, 1, 1, dtype=torch.bool)
+    next_step = {"observation": observation, "reward": reward, "done": done, "terminated": done, "truncated": ~done}
     return TensorDict(
-        {"observation": observation, "action": action, "next": TensorDict(after, [rounds, 1])}, [rounds, 1]
+        {"observation": observation, "action": action, "next": TensorDict(next_step, [rounds, 1])}, [rounds, 1]
     )
 
 
 @pytest.mark.parametrize("fisher_subsample", [1.0, 0.25])
-def test_it_learns_and_stays_in_the_trust_region(fisher_subsample):
+def test_learning_stays_in_the_trust_region(fisher_subsample):
     torch.manual_seed(0)
     policy = GaussianPolicy([32])
     learner, generator = (
@@ -115,12 +115,12 @@ def test_it_learns_and_stays_in_the_trust_region(fisher_subsample):
     assert metrics[-1]["critic_loss"] < metrics[0]["critic_loss"]
 
 
-def test_a_batch_that_teaches_nothing_changes_nothing():
+def test_equal_advantages_change_nothing():
     policy = GaussianPolicy([8])
     learner = TRPOConfig(**SETTINGS).learner(policy, 0.9)
     before = parameters_to_vector(policy.parameters()).clone()
-    play = bandit(policy, torch.Generator().manual_seed(0))
-    metrics = learner.improve_policy(play["observation"].squeeze(1), play["action"].squeeze(1), torch.ones(2000))
+    batch = bandit(policy, torch.Generator().manual_seed(0))
+    metrics = learner.update_policy(batch["observation"].squeeze(1), batch["action"].squeeze(1), torch.ones(2000))
     assert metrics["step"] == 0.0
     assert torch.equal(parameters_to_vector(policy.parameters()), before)
 

@@ -262,7 +262,11 @@ def complaint(monkeypatch, capsys, tmp_path, name: str, *arguments: str) -> str:
         ("train", "algorithm.max_kl=0", "max_kl = 0"),
         ("train", "env.backend=gym", "env.backend = 'gym'"),
         ("train", "league.sampler.first.delta=2", "delta = 2"),
-        ("train", "league.anchors=[goalie]", "league.anchors: 'goalie' must be one of random, defender, striker"),
+        (
+            "train",
+            "league.scripted_players=[goalie]",
+            "league.scripted_players = 'goalie' must be one of random, defender, striker",
+        ),
         (
             "train",
             "league=nobody",

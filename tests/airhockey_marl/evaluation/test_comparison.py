@@ -1,4 +1,4 @@
-"""The comparison of algorithms: from run folders to the table, the csv and the figure, and what it refuses."""
+"""The comparison of algorithms: from run folders to the table, the csv and the figure; invalid runs."""
 
 import json
 import sys
@@ -18,7 +18,7 @@ GENERATIONS, STEPS = 4, 1000
 
 
 def make_run(folder: Path, algorithm: str, seed: int, hidden: tuple[int, ...] = (8,), **settings) -> Path:
-    """The files of a finished training run, of policies that have learned nothing."""
+    """The files of a finished training run with untrained policies."""
     league = League(GaussianPolicy(hidden))
     for generation in range(GENERATIONS + 1):
         torch.manual_seed(100 * seed + generation)
@@ -62,7 +62,7 @@ def complaint(monkeypatch, capsys, tmp_path: Path, *arguments: str) -> str:
     return shown
 
 
-def test_command_plays_and_writes_everything(monkeypatch, capsys, sweep, tmp_path):
+def test_command_writes_all_results(monkeypatch, capsys, sweep, tmp_path):
     run_command(monkeypatch, tmp_path, f"runs={sweep}")
     results = pd.read_csv(tmp_path / "run" / "comparison.csv")
     assert len(results) == 3 * 5 * 3 + 2 * 3  # five generations against three each; three pairs, from both sides
@@ -82,14 +82,14 @@ def test_command_plays_and_writes_everything(monkeypatch, capsys, sweep, tmp_pat
     assert lines[1].endswith("500") and lines[2].endswith("500 ± 0")
 
 
-def test_matches_follow_from_the_seed(sweep):
-    runs = [compare.read_run(file.parent) for file in find_files([sweep], compare.LEAGUE)]
+def test_comparison_is_reproducible(sweep):
+    runs = [compare.read_run(file.parent) for file in find_files([sweep], compare.LEAGUE_FILE)]
     first, second, other = (compare.compare(runs[:2], 4, seed) for seed in (1, 1, 2))
     pd.testing.assert_frame_equal(first, second)
     assert not first.equals(other)
 
 
-def test_a_match_has_the_rounds_that_were_asked_for():
+def test_match_has_the_given_number_of_rounds():
     policy = GaussianPolicy([8])
     for rounds in (1, 100, 150):
         [counts] = compare.play(policy, policy, 1, rounds, 0, frame_skip=25)
@@ -110,7 +110,7 @@ def rows(algorithm: str, seed: int, opponent: str, won: int, lost: int, generati
     }
 
 
-def test_table_has_means_and_deviations_over_seeds_of_the_last_generations():
+def test_table_has_mean_and_sd_over_the_seeds_of_the_last_generations():
     results = pd.DataFrame(
         [
             rows("PPO", 0, "striker", 9, 1, generation=1),  # an earlier generation
@@ -128,7 +128,7 @@ def test_table_has_means_and_deviations_over_seeds_of_the_last_generations():
     assert sac.split() == ["SAC", "1", "–", "–", "–", "–", "–", "500"]
 
 
-def test_figure_has_every_seed_and_the_mean_of_each_algorithm():
+def test_figure_has_a_line_per_seed_and_the_mean_of_each_algorithm():
     opponents = ("defender", "striker", "generation 0")
     results = pd.DataFrame(
         [
@@ -151,7 +151,7 @@ def test_runs_are_found_by_folder_pattern_and_list(sweep):
     everything = [sweep / str(number) for number in range(3)]
 
     def found(*places) -> list[Path]:
-        return [file.parent for file in find_files(places, compare.LEAGUE)]
+        return [file.parent for file in find_files(places, compare.LEAGUE_FILE)]
 
     assert found(sweep) == everything
     assert found(f"{sweep}/[02]", sweep / "1") == [everything[0], everything[2], everything[1]]
@@ -173,14 +173,14 @@ def test_wrong_input_is_named(monkeypatch, capsys, sweep, tmp_path, arguments, m
     assert message in complaint(monkeypatch, capsys, tmp_path, *filled)
 
 
-def test_runs_that_cannot_be_read_or_compared_are_named(monkeypatch, capsys, sweep, tmp_path):
+def test_unreadable_and_incomparable_runs_are_named(monkeypatch, capsys, sweep, tmp_path):
     def refused() -> str:
         return complaint(monkeypatch, capsys, tmp_path, f"runs={sweep}")
 
     make_run(sweep / "3", "SAC", 0)
     assert "SAC with seed 0 twice" in refused()
     OmegaConf.save({"seed": 3}, sweep / "3" / ".hydra" / "config.yaml")
-    assert "3 does not tell algorithm.name, steps_per_generation, env.frame_skip" in refused()
+    assert "3 has no algorithm.name, steps_per_generation, env.frame_skip" in refused()
     (sweep / "3" / ".hydra" / "config.yaml").write_text("a: [")
     assert "3/.hydra/config.yaml is no yaml" in refused()
     (sweep / "3" / "card.json").unlink()
@@ -188,6 +188,6 @@ def test_runs_that_cannot_be_read_or_compared_are_named(monkeypatch, capsys, swe
     make_run(sweep / "4", "PPO", 0, env={"frame_skip": 1})
     for name in ("league.safetensors", "card.json"):
         (sweep / "3" / name).unlink(missing_ok=True)
-    assert "decisions last 25 ticks" in refused()
+    assert "runs: env.frame_skip = 25" in refused()
     save_tensors(sweep / "4" / "league.safetensors", {"x": torch.zeros(1)})
     assert "league.safetensors: has no sizes of hidden layers (hidden)" in refused()

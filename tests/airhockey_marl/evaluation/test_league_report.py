@@ -1,4 +1,4 @@
-"""The report of a tiny league: what is written, what it says whichever way the numbers fall, and what it refuses."""
+"""The report of a tiny league: its files, its sentences for any outcome, and invalid input."""
 
 import base64
 import html
@@ -22,39 +22,39 @@ from airhockey_marl.evaluation.league_metrics import (
     EvaluationBudget,
     LeagueMetrics,
     Regressions,
+    benchmark_generations,
     evaluate_league,
-    members_of_matrix,
-    milestones,
+    payoff_players,
 )
-from airhockey_marl.evaluation.league_report import draw, log_to_tensorboard, page, summary, write_report
+from airhockey_marl.evaluation.league_report import draw_figures, log_to_tensorboard, page, summary, write_report
 from airhockey_marl.evaluation.matches import MatchResult
-from airhockey_marl.evaluation.ratings import MATCHES, GoodnessOfFit, Proportion, RatingDifference
+from airhockey_marl.evaluation.ratings import MATCH_COLUMNS, GoodnessOfFit, Proportion, RatingDifference
 from airhockey_marl.experiment.files import save_tensors, write_json
 from airhockey_marl.league.league import League
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 from tests.airhockey_marl.league.test_league import league_of
 
-EFFORT = EvaluationBudget(every=5, rounds=2, match_rounds=4, save_tables=3, std_tables=4, std_seconds=8.0)
+BUDGET = EvaluationBudget(every=5, rounds=2, match_rounds=4, save_tables=3, std_tables=4, std_seconds=8.0)
 FILES = ["league_report.html", "league_report.json", "match.gif", "payoff.csv", "payoff.png", "precision.png"]
 FILES += ["rating.png", "ratings.csv"]
 BEST_RESPONSE = [(1_000_000, MatchResult(30, 70, 2)), (2_000_000, MatchResult(80, 20, 0))]
 SECTIONS = [
-    "What a league must show",
+    "Summary",
     "Ratings",
-    "Who beats whom",
+    "Payoff matrix",
     "Win rates during training",
     "Saves",
-    "Does the STD mean anything?",
-    "Is it smooth?",
-    "Can it be exploited?",
-    "How it looks",
-    "Where these numbers come from",
+    "STD by situation",
+    "Smoothness",
+    "Exploitability",
+    "Example match",
+    "Methods and model card",
 ]
 
 
 def matches() -> pd.DataFrame:
     rows = [(1, 0, 3, 1, 0), (1, "random", 4, 0, 0), (1, "striker", 0, 4, 0), (2, 0, 2, 1, 1), (2, "random", 0, 0, 4)]
-    return pd.DataFrame(rows, columns=list(MATCHES))
+    return pd.DataFrame(rows, columns=list(MATCH_COLUMNS))
 
 
 def text_of(written: str) -> str:
@@ -68,20 +68,20 @@ def league() -> League:
 
 @pytest.fixture(scope="module")
 def written(league, tmp_path_factory) -> tuple[Path, LeagueMetrics]:
-    """A whole report without matches, and what it found."""
+    """The folder of a report without matches, and its metrics."""
     folder = tmp_path_factory.mktemp("report")
     card = {"steps": 3000, "seed": 4, "note": "<script>alert(1)</script>", "config": {"env": {"tables": 4}}}
-    return folder, write_report(folder, league, None, card, EFFORT, seed=1)
+    return folder, write_report(folder, league, None, card, BUDGET, seed=1)
 
 
-def shown(found: LeagueMetrics) -> str:
-    """The text of the page for these findings."""
+def shown(metrics: LeagueMetrics) -> str:
+    """The text of the page."""
     names = ("payoff.png", "rating.png", "precision.png", "matches.png", "best_response.png", "match.gif")
-    return text_of(page(found, dict.fromkeys(names, b"a picture"), {}, EFFORT, 1))
+    return text_of(page(metrics, dict.fromkeys(names, b"a picture"), {}, BUDGET, 1))
 
 
-def test_report_writes_its_files_whole(written):
-    folder, found = written
+def test_report_writes_all_files(written):
+    folder, metrics = written
     assert sorted(path.name for path in folder.iterdir()) == FILES
     for name in ("payoff", "rating", "precision"):
         assert (folder / f"{name}.png").read_bytes().startswith(b"\x89PNG")
@@ -91,11 +91,11 @@ def test_report_writes_its_files_whole(written):
     assert list(ratings["member"]) == ["0", "1", "2", *SCRIPTED_PLAYERS] and set(ratings["source"]) == {"payoff"}
     assert (ratings["low"] <= ratings["rating"]).all() and (ratings["rating"] <= ratings["high"]).all()
     facts = json.loads((folder / "league_report.json").read_text(), parse_constant=pytest.fail)
-    assert facts["seed"] == 1 and facts["effort"]["rounds"] == 2 and facts["members"] == [0, 1, 2, *SCRIPTED_PLAYERS]
-    assert facts["against"]["0"]["trials"] == found.against[0].trials
+    assert facts["seed"] == 1 and facts["budget"]["rounds"] == 2 and facts["player_ids"] == [0, 1, 2, *SCRIPTED_PLAYERS]
+    assert facts["win_rates"]["0"]["trials"] == metrics.win_rates[0].trials
 
 
-def test_match_is_ten_seconds_of_an_animated_picture(written):
+def test_film_has_ten_seconds(written):
     with Image.open(written[0] / "match.gif") as film:
         assert film.n_frames > 100  # pictures that do not change share a longer one
         assert film.width == 320 and film.info["loop"] == 0
@@ -106,7 +106,7 @@ def test_match_is_ten_seconds_of_an_animated_picture(written):
     assert lasts == 10_000
 
 
-def test_page_has_every_section_and_loads_nothing(written):
+def test_page_has_all_sections_and_loads_nothing(written):
     folder, _ = written
     written_page = (folder / "league_report.html").read_text(encoding="utf-8")
     assert re.findall(r"<h2>(.*?)</h2>", written_page) == SECTIONS
@@ -117,48 +117,49 @@ def test_page_has_every_section_and_loads_nothing(written):
     assert "&lt;script&gt;alert(1)" in written_page
 
 
-def test_page_prints_no_number_that_is_none(written, league):
-    folder, found = written
+def test_page_prints_no_nan(written, league):
+    folder, metrics = written
     none = float("nan")
-    numbers = found.std.columns.drop(["situation", "decisions", "share"])
+    numbers = metrics.std.columns.drop(["situation", "decisions", "share"])
     empty = replace(
-        found,
-        score=np.where(np.arange(3) == 2, found.score.sum(axis=-1, keepdims=True), 0),
-        misfit=GoodnessOfFit(none, none),
-        against={0: Proportion.of(0, 0), found.strongest: Proportion.of(0, 0)},
-        saves={name: Proportion.of(0, 0) for name in found.saves},
-        std=found.std.assign(**dict.fromkeys(numbers, none)),
-        maps=tuple(np.full_like(values, none) for values in found.maps),
-        smoothness={name: dict.fromkeys(values, none) for name, values in found.smoothness.items()},
+        metrics,
+        score=np.where(np.arange(3) == 2, metrics.score.sum(axis=-1, keepdims=True), 0),
+        goodness_of_fit=GoodnessOfFit(none, none),
+        win_rates={0: Proportion.from_counts(0, 0), metrics.strongest_script: Proportion.from_counts(0, 0)},
+        saves={name: Proportion.from_counts(0, 0) for name in metrics.saves},
+        std=metrics.std.assign(**dict.fromkeys(numbers, none)),
+        std_maps=tuple(np.full_like(values, none) for values in metrics.std_maps),
+        smoothness={name: dict.fromkeys(values, none) for name, values in metrics.smoothness.items()},
     )
     for text in (text_of((folder / "league_report.html").read_text()), shown(empty)):
         assert not re.search(r"\b([Nn]a[Nn]|None|inf|Undefined)\b|\[\s*,|\{\{|  ", text)
-    assert "The scripted striker did not get to shoot at both, so nothing can be said." in shown(empty)
-    assert "Too little happened before a save" in shown(empty) and "too small to tell" in shown(empty)
-    assert all(picture.startswith(b"\x89PNG") for picture in draw(empty, None).values())
+    assert "The scripted striker made no shot on either goal, so the save rates cannot be compared." in shown(empty)
+    assert "There are too few decisions before a save" in shown(empty) and "too small to test" in shown(empty)
+    assert all(picture.startswith(b"\x89PNG") for picture in draw_figures(empty, None).values())
     json.dumps(empty.as_dict(), allow_nan=False)
 
 
 def test_report_is_reproducible(written, league, tmp_path):
     folder, _ = written
     card = {"steps": 3000, "seed": 4, "note": "<script>alert(1)</script>", "config": {"env": {"tables": 4}}}
-    write_report(tmp_path, league, None, card, EFFORT, seed=1)
+    write_report(tmp_path, league, None, card, BUDGET, seed=1)
     for name in FILES:
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
 
 
-def test_matches_of_training_and_a_best_response_are_shown(written, league):
-    folder, found = written
-    with_more = evaluate_league(league, matches(), EFFORT, 1, BEST_RESPONSE)
-    assert (with_more.score == found.score).all() and with_more.against == found.against
-    assert list(with_more.kept["member"]) == [0, 1, 2, "random", "striker"]
+def test_matches_and_best_response_are_shown(written, league):
+    folder, metrics = written
+    with_more = evaluate_league(league, matches(), BUDGET, 1, BEST_RESPONSE)
+    assert (with_more.score == metrics.score).all() and with_more.win_rates == metrics.win_rates
+    assert list(with_more.training_ratings["member"]) == [0, 1, 2, "random", "striker"]
     assert set(with_more.ratings_table()["source"]) == {"payoff", "matches"}
     text = shown(with_more)
-    assert set(draw(with_more, matches())) == {"matches.png", "best_response.png", *(f for f in FILES if "png" in f)}
-    assert "over five generations" in text and "came without the matches" not in text
-    assert "learned 2,000,000 steps" in text and "wins 80 % [71, 87] of the decided rounds" in text
+    expected = {"matches.png", "best_response.png", *(file for file in FILES if "png" in file)}
+    assert set(draw_figures(with_more, matches())) == expected
+    assert "over five generations" in text and "has no matches.csv" not in text
+    assert "trained for 2,000,000 steps" in text and "wins 80 % [71, 87] of the decided rounds" in text
     without = text_of((folder / "league_report.html").read_text())
-    assert "came without the matches of its training" in without and "is not known" in without
+    assert "has no matches.csv with the matches of its training" in without and "is not known" in without
 
 
 def test_heat_map_has_numbers_in_its_cells_while_they_are_few():
@@ -180,93 +181,92 @@ def of(value: float, half: float) -> RatingDifference:
     ("changes", "says", "line"),
     [
         (
-            {"growth": of(90, 10), "middle": 1},
-            "It rose since generation 1, halfway: the last is rated 90 [80, 100]",
+            {"gain_since_midpoint": of(90, 10), "midpoint": 1},
+            "The rating rose since generation 1, the middle of the training: the last generation is rated 90 [80, 100]",
             None,
         ),
         (
-            {"growth": of(-90, 10), "middle": 1},
-            "It fell since generation 1, halfway: the last is rated 90 [80, 100]",
+            {"gain_since_midpoint": of(-90, 10), "midpoint": 1},
+            "The rating fell since generation 1, the middle of the training: the last generation is rated 90 [80, 100]",
             None,
         ),
         (
-            {"growth": of(5, 10), "middle": 1},
-            "It did not clearly rise or fall since generation 1, halfway: the last is rated 5 [−5, 15]",
+            {"gain_since_midpoint": of(5, 10), "midpoint": 1},
+            "The rating did not change significantly since generation 1, the middle of the training: the last "
+            "generation is rated 5 [−5, 15]",
             None,
         ),
-        ({"above_strongest": of(70, 9)}, "70 points above the strongest script", None),
-        ({"above_strongest": of(-70, 9)}, "70 points below the strongest script", None),
-        ({"misfit": GoodnessOfFit(1.1, 0.3)}, "yes, what it leaves unexplained may be chance", None),
-        ({"misfit": GoodnessOfFit(4.0, 1e-9)}, "(p < .001): no, who beats whom goes round in circles", None),
-        ({"fallen": Regressions({}, 0)}, "The league has no generation after 20 to compare", None),
-        ({"fallen": Regressions({}, 7)}, "none of 7 after 20 is rated below generation 10.", "yes"),
+        ({"lead_over_script": of(70, 9)}, "70 points above the strongest script", None),
+        ({"lead_over_script": of(-70, 9)}, "70 points below the strongest script", None),
+        ({"goodness_of_fit": GoodnessOfFit(1.1, 0.3)}, "yes, the deviations are compatible with chance", None),
+        ({"goodness_of_fit": GoodnessOfFit(4.0, 1e-9)}, "(p < .001): no, strength is not fully transitive", None),
+        ({"regressions": Regressions({}, 0)}, "The league has no generation after 20 to compare", None),
+        ({"regressions": Regressions({}, 7)}, "none of 7 generations after 20 is rated below generation 10.", "yes"),
         (
-            {"fallen": Regressions({30: of(-5, 9)}, 7)},
-            "1 of 7 after 20 is rated below generation 10 (30), none of them by more than the 95 % interval",
+            {"regressions": Regressions({30: of(-5, 9)}, 7)},
+            "1 of 7 generations after 20 is rated below generation 10 (30), none of them by more than the 95 % interval",
             "open",
         ),
         (
-            {"fallen": Regressions({30: of(-5, 9), 40: of(-50, 9)}, 7)},
-            "2 of 7 after 20 are rated below generation 10 (30 and 40), 1 of them by more than the 95 % interval of "
-            "the difference (40).",
+            {"regressions": Regressions({30: of(-5, 9), 40: of(-50, 9)}, 7)},
+            "2 of 7 generations after 20 are rated below generation 10 (30 and 40), 1 of them by more than the 95 % "
+            "interval of the difference (40).",
             "no",
         ),
         (
-            {"saves": {"last": Proportion.of(90, 100), "defender": Proportion.of(60, 100)}},
+            {"saves": {"last": Proportion.from_counts(90, 100), "defender": Proportion.from_counts(60, 100)}},
             "the last generation defends better",
             "yes",
         ),
         (
-            {"saves": {"last": Proportion.of(50, 100), "defender": Proportion.of(80, 100)}},
+            {"saves": {"last": Proportion.from_counts(50, 100), "defender": Proportion.from_counts(80, 100)}},
             "the script defends better",
             "no",
         ),
         (
-            {"saves": {"last": Proportion.of(50, 100), "defender": Proportion.of(52, 100)}},
-            "neither clearly defends better",
+            {"saves": {"last": Proportion.from_counts(50, 100), "defender": Proportion.from_counts(52, 100)}},
+            "the difference is not significant.",
             "open",
         ),
-        ({"best_response": [(9, Proportion.of(80, 100))]}, "the last generation can be exploited.", None),
-        ({"best_response": [(9, Proportion.of(20, 100))]}, "it found no way to beat the last generation.", None),
-        ({"best_response": [(9, Proportion.of(50, 100))]}, "it is about the last generation’s equal.", None),
+        ({"best_response": [(9, Proportion.from_counts(80, 100))]}, "the last generation can be exploited.", None),
+        ({"best_response": [(9, Proportion.from_counts(20, 100))]}, "no weakness was metrics.", None),
+        ({"best_response": [(9, Proportion.from_counts(50, 100))]}, "about as strong as the last generation.", None),
     ],
 )
 def test_sentences_follow_from_the_numbers(written, changes, says, line):
-    found = replace(written[1], **changes)
-    assert says in shown(found)
+    metrics = replace(written[1], **changes)
+    assert says in shown(metrics)
     if line:
-        topic = "after 20" if "fallen" in changes else "saves more"
-        assert [row.outcome for row in summary(found) if topic in row.question] == [line]
+        topic = "after 20" if "regressions" in changes else "saves more"
+        assert [row.outcome for row in summary(metrics) if topic in row.claim] == [line]
 
 
 @pytest.mark.parametrize(
     ("above", "says", "holds"),
-    [(-0.05, "surer", "yes"), (0.05, "less sure", "no"), (0.0, "neither clearly surer nor less sure", "open")],
+    [(-0.05, "lower", "yes"), (0.05, "higher", "no"), (0.0, "not significantly different", "open")],
 )
-def test_whether_the_std_means_anything_follows_from_the_numbers(written, above, says, holds):
+def test_sentences_about_the_std_follow_from_the_numbers(written, above, says, holds):
     ends = {"difference_low": above - 0.01, "difference_high": above + 0.01}
-    found = replace(written[1], std=written[1].std.assign(std=0.2, difference=above, **ends))
-    text = shown(found)
+    metrics = replace(written[1], std=written[1].std.assign(std=0.2, difference=above, **ends))
+    text = shown(metrics)
     for situation in ("Before a save", "Before a strike"):
-        expected = (
-            f"{situation} the policy is {says} than while the puck is far away: STD 0.200 against {0.2 - above:.3f}"
-        )
+        expected = f"{situation} the STD is {says} than with the puck far away: STD 0.200 against {0.2 - above:.3f}"
         assert expected in text
-    assert [line.outcome for line in summary(found) if "surer" in line.question] == [holds] * 2
+    assert [line.outcome for line in summary(metrics) if "STD is lower" in line.claim] == [holds] * 2
 
 
-def test_the_last_is_measured_against_what_the_league_has():
-    assert milestones(100) == milestones(51) == [0, 25, 50]
-    assert milestones(50) == [0, 12, 25, 37] and milestones(1) == [0]
-    assert members_of_matrix(101, 10) == [0, 10, 20, 25, 30, 40, 50, 60, 70, 80, 90, 100, *SCRIPTED_PLAYERS]
-    assert members_of_matrix(30, 20) == [0, 7, 10, 14, 20, 21, 29, *SCRIPTED_PLAYERS]
-    assert members_of_matrix(3, 5) == [0, 1, 2, *SCRIPTED_PLAYERS]
+def test_benchmark_generations_fit_the_league():
+    assert benchmark_generations(100) == benchmark_generations(51) == [0, 25, 50]
+    assert benchmark_generations(50) == [0, 12, 25, 37] and benchmark_generations(1) == [0]
+    assert payoff_players(101, 10) == [0, 10, 20, 25, 30, 40, 50, 60, 70, 80, 90, 100, *SCRIPTED_PLAYERS]
+    assert payoff_players(30, 20) == [0, 7, 10, 14, 20, 21, 29, *SCRIPTED_PLAYERS]
+    assert payoff_players(3, 5) == [0, 1, 2, *SCRIPTED_PLAYERS]
 
 
-def test_tensorboard_reads_the_report_and_an_animated_match(written, tmp_path):
-    folder, found = written
+def test_tensorboard_has_the_report_and_an_animated_match(written, tmp_path):
+    folder, metrics = written
     with SummaryWriter(str(tmp_path)) as writer:
-        log_to_tensorboard(writer, folder, found, 3000)
+        log_to_tensorboard(writer, folder, metrics, 3000)
     events = EventAccumulator(str(tmp_path), size_guidance={"images": 0}).Reload()
     assert set(events.Tags()["images"]) == {f"report/{name}" for name in ("payoff", "rating", "precision", "match")}
     (match,) = events.Images("report/match")
@@ -274,7 +274,7 @@ def test_tensorboard_reads_the_report_and_an_animated_match(written, tmp_path):
     with Image.open(io.BytesIO(match.encoded_image_string)) as film:
         assert film.format == "GIF" and film.is_animated
     assert [event.step for event in events.Scalars("rating/generation")] == [0, 1500, 3000]
-    expected = found.ratings.set_index("member").loc["striker", "rating"]
+    expected = metrics.ratings.set_index("member").loc["striker", "rating"]
     assert events.Scalars("rating/striker")[0].value == pytest.approx(expected, rel=1e-5)
     named = {
         "rating/generation",
@@ -283,14 +283,14 @@ def test_tensorboard_reads_the_report_and_an_animated_match(written, tmp_path):
         *(f"rating/{name}" for name in SCRIPTED_PLAYERS),
     }
     scalars = set(events.Tags()["scalars"])
-    assert scalars - named <= {f"std/{s.replace(' ', '_')}" for s in found.std["situation"]} and "std/all" in scalars
+    assert scalars - named <= {f"std/{s.replace(' ', '_')}" for s in metrics.std["situation"]} and "std/all" in scalars
 
 
 TINY = ["rounds=1", "match_rounds=1", "save_tables=1", "std_tables=2", "std_seconds=2", "exploit_generations=0"]
 
 
 def ship(folder: Path, league: League, **card) -> Path:
-    save_tensors(folder / "league.safetensors", league.stacked(), {"hidden": [8]})
+    save_tensors(folder / "league.safetensors", league.stacked_weights(), {"hidden": [8]})
     write_json(folder / "card.json", {"hashes": league.hashes, "steps": 2000, **card})
     return folder
 
@@ -333,7 +333,7 @@ def test_wrong_values_end_in_one_line(monkeypatch, capsys, tmp_path, argument, m
     assert message in complaint(monkeypatch, capsys, tmp_path, argument)
 
 
-def test_runs_that_are_none_are_refused(monkeypatch, capsys, tmp_path, league):
+def test_invalid_runs_are_named(monkeypatch, capsys, tmp_path, league):
     lone = ship(tmp_path / "lone", league_of(1))
     assert "at least 2" in complaint(monkeypatch, capsys, tmp_path, f"run={lone}")
     other = ship(tmp_path / "other", league, hashes=["0"])
@@ -344,12 +344,12 @@ def test_runs_that_are_none_are_refused(monkeypatch, capsys, tmp_path, league):
     matches().assign(generation=9).to_csv(run / "matches.csv", index=False)
     assert "generation = 9 must be below 3" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
     matches().replace({"opponent": {"random": "wall"}}).to_csv(run / "matches.csv", index=False)
-    assert "anchor = 'wall' must be one of" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
+    assert "scripted player = 'wall' must be one of" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
     (run / "matches.csv").write_text("a,b\n1,2\n")
-    assert "has the columns a, b, not" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
-    save_tensors(run / "league.safetensors", league.stacked(), {})
+    assert "has the columns a, b, must have" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
+    save_tensors(run / "league.safetensors", league.stacked_weights(), {})
     with pytest.raises(ValueError, match="not a file of this project"):
         League.load(run / "league.safetensors")
-    save_tensors(run / "league.safetensors", league.stacked(), {"hidden": [9]})
+    save_tensors(run / "league.safetensors", league.stacked_weights(), {"hidden": [9]})
     with pytest.raises(ValueError, match=r"league\.safetensors: .* the model has"):
         League.load(run / "league.safetensors")

@@ -1,4 +1,4 @@
-"""Rounds between pairs, ratings against other people's arithmetic, intervals that hold, and kept matches."""
+"""Ratings: the payoff matrix, agreement with a textbook likelihood, coverage of the intervals, and matches.csv."""
 
 import numpy as np
 import pandas as pd
@@ -8,7 +8,7 @@ from scipy.optimize import minimize
 from airhockey_marl.evaluation import ratings
 from airhockey_marl.evaluation.ratings import (
     ELO,
-    MATCHES,
+    MATCH_COLUMNS,
     Proportion,
     bradley_terry,
     goodness_of_fit,
@@ -33,7 +33,7 @@ def tournament(elo: np.ndarray, rounds: int, rng: np.random.Generator, met: np.n
 
 
 def maximum_likelihood(wins: np.ndarray, prior_rounds: float = 0.0) -> np.ndarray:
-    """Elo above the first player by minimizing the negative log-likelihood, as it stands in a textbook."""
+    """Elo above the first player, by minimizing the textbook negative log-likelihood."""
     k = len(wins)
     wins = np.pad(wins.astype(float), (0, 1), constant_values=prior_rounds / 2)
     wins[k, k] = 0.0
@@ -49,7 +49,7 @@ def maximum_likelihood(wins: np.ndarray, prior_rounds: float = 0.0) -> np.ndarra
 
 
 def ring(k: int) -> np.ndarray:
-    """Who met whom if everybody met only his two neighbors."""
+    """Which pairs met (k, k), if every player met its two neighbors only."""
     place = np.arange(k)
     return np.isin((place[:, None] - place[None, :]) % k, (1, k - 1))
 
@@ -63,14 +63,14 @@ def test_ratings_are_the_maximum_of_the_likelihood(met, prior_rounds):
     np.testing.assert_allclose(bradley_terry(wins, 0, prior_rounds).rating, expected, atol=0.01)
 
 
-def test_the_prior_is_little_beside_hundreds_of_rounds():
+def test_prior_is_negligible_beside_hundreds_of_rounds():
     rng = np.random.default_rng(1)
     wins = tournament(200 * rng.normal(size=12), 100, rng)
     free, held = bradley_terry(wins, 0, prior_rounds=0.0), bradley_terry(wins, 0)
     assert np.abs(free.rating - held.rating).max() < 0.03 * (held.high - held.low).max()
 
 
-def test_intervals_hold_the_truth_about_as_often_as_they_say():
+def test_intervals_have_their_nominal_coverage():
     rng, hits = np.random.default_rng(2), []
     elo = np.array([0.0, 60.0, -150.0, 250.0, 100.0, 20.0])
     for _ in range(200):
@@ -80,7 +80,7 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say():
     assert np.array(hits)[:, 0].all()  # the reference is where it is by definition
 
 
-def test_intervals_hold_for_those_who_hardly_met():
+def test_intervals_have_their_nominal_coverage_on_a_sparse_matrix():
     rng, hits = np.random.default_rng(3), []
     elo = np.array([0.0, 100.0, 200.0, 100.0, 0.0, -100.0, -50.0])
     for _ in range(200):
@@ -89,7 +89,7 @@ def test_intervals_hold_for_those_who_hardly_met():
     assert 0.90 < np.array(hits)[:, [0, 1, 3, 4, 5, 6]].mean() < 0.99
 
 
-def test_who_won_or_lost_everything_has_a_finite_rating_and_a_wide_interval():
+def test_players_that_won_or_lost_all_rounds_have_finite_ratings_and_wide_intervals():
     wins = tournament(np.zeros(5), 50, np.random.default_rng(4))
     wins[3], wins[:, 3] = np.array([50, 50, 50, 0, 50]), 0
     best, worst = bradley_terry(wins, 0), bradley_terry(wins.T, 0)
@@ -100,7 +100,7 @@ def test_who_won_or_lost_everything_has_a_finite_rating_and_a_wide_interval():
     np.testing.assert_allclose(best.rating, -worst.rating, atol=1e-6)  # winners and losers are treated alike
 
 
-def test_another_reference_only_moves_the_zero():
+def test_reference_shifts_the_ratings():
     rng = np.random.default_rng(5)
     wins = tournament(100 * rng.normal(size=6), 40, rng)
     first, third = bradley_terry(wins, 0), bradley_terry(wins, 2)
@@ -110,14 +110,14 @@ def test_another_reference_only_moves_the_zero():
     np.testing.assert_allclose(there, (-back.value, -back.high, -back.low), atol=1e-6)
 
 
-def test_who_cannot_be_compared_has_an_interval_that_says_so():
+def test_unconnected_players_have_wide_intervals():
     wins = np.zeros((4, 4))
     wins[0, 1] = wins[1, 0] = 500
     wins[2, 3] = 5
     rated = bradley_terry(wins, 0)
     assert np.isfinite(rated).all()
     assert (rated.high - rated.low)[1] < 100 and ((rated.high - rated.low)[2:] > 1000).all()
-    with pytest.raises(ValueError, match=r"members \[2, 3\] have no decided round that leads to member 0"):
+    with pytest.raises(ValueError, match=r"players \[2, 3\] are not connected with player 0 by decided rounds"):
         bradley_terry(wins, 0, prior_rounds=0.0)
     with pytest.raises(ValueError, match="must be counts"):
         bradley_terry(-wins, 0)
@@ -125,36 +125,38 @@ def test_who_cannot_be_compared_has_an_interval_that_says_so():
         bradley_terry(wins[:3], 0)
 
 
-def test_misfit_tells_circles_from_chance():
+def test_goodness_of_fit_distinguishes_cycles_from_chance():
     rng, ratios, surprises = np.random.default_rng(6), [], 0
     for _ in range(100):
         wins = tournament(150 * rng.normal(size=8), 50, rng)
-        found = goodness_of_fit(wins, bradley_terry(wins, 0).rating)
-        ratios.append(found.ratio)
-        surprises += found.p < 0.05
+        fit = goodness_of_fit(wins, bradley_terry(wins, 0).rating)
+        ratios.append(fit.ratio)
+        surprises += fit.p < 0.05
     assert 0.9 < np.mean(ratios) < 1.1 and surprises <= 12
-    stone_scissors_paper = 40 * np.roll(np.eye(3), 1, axis=1) + 10 * np.roll(np.eye(3), -1, axis=1)
-    found = goodness_of_fit(stone_scissors_paper, bradley_terry(stone_scissors_paper, 0).rating)
-    assert found.ratio > 20 and found.p < 1e-6
+    rock_paper_scissors = 40 * np.roll(np.eye(3), 1, axis=1) + 10 * np.roll(np.eye(3), -1, axis=1)
+    fit = goodness_of_fit(rock_paper_scissors, bradley_terry(rock_paper_scissors, 0).rating)
+    assert fit.ratio > 20 and fit.p < 1e-6
     assert np.isnan(goodness_of_fit(np.ones((2, 2)), np.zeros(2))).all()
 
 
-def test_shares_have_wilsons_intervals_and_newcombes_difference():
+def test_proportions_have_wilsons_intervals_and_newcombes_difference():
     """Newcombe 1998, the example 56/70 against 48/80: .2 [.0524, .3339]."""
-    assert Proportion.of(56, 70)[:3] == pytest.approx((0.8, 0.6921, 0.8771), abs=5e-4)
-    assert Proportion.of(56, 70).minus(Proportion.of(48, 80)) == pytest.approx((0.2, 0.0524, 0.3339), abs=5e-5)
-    assert Proportion.of(0, 0)[1:] == (0.0, 1.0, 0) and np.isnan(Proportion.of(0, 0).value)
+    assert Proportion.from_counts(56, 70)[:3] == pytest.approx((0.8, 0.6921, 0.8771), abs=5e-4)
+    assert Proportion.from_counts(56, 70).difference(Proportion.from_counts(48, 80)) == pytest.approx(
+        (0.2, 0.0524, 0.3339), abs=5e-5
+    )
+    assert Proportion.from_counts(0, 0)[1:] == (0.0, 1.0, 0) and np.isnan(Proportion.from_counts(0, 0).value)
 
 
-MEMBERS = [0, 2, 1, "random", "striker"]
+PLAYERS = [0, 2, 1, "random", "striker"]
 
 
 @pytest.fixture(scope="module")
 def score() -> np.ndarray:
-    return payoff(league_of(3), MEMBERS, rounds=4, seed=3)
+    return payoff(league_of(3), PLAYERS, rounds=4, seed=3)
 
 
-def test_every_pair_plays_its_rounds_once_for_both(score):
+def test_payoff_counts_every_round_for_both_players(score):
     assert score.shape == (5, 5, 3)
     assert (score.sum(axis=2) == 4 * (1 - np.eye(5))).all()
     np.testing.assert_array_equal(score, score.transpose(1, 0, 2)[..., [1, 0, 2]])
@@ -162,38 +164,36 @@ def test_every_pair_plays_its_rounds_once_for_both(score):
     assert np.isnan(np.diag(shares)).all() and shares[4, 3] > 0.5  # a striker beats a wild paddle
 
 
-def test_payoff_follows_from_the_seed(score):
-    np.testing.assert_array_equal(payoff(league_of(3), MEMBERS, rounds=4, seed=3), score)
+def test_payoff_is_reproducible(score):
+    np.testing.assert_array_equal(payoff(league_of(3), PLAYERS, rounds=4, seed=3), score)
 
 
-def test_results_belong_to_their_pairs_however_they_are_dealt(monkeypatch):
-    """Striker and random among untrained generations, in chunks of one pair and in one."""
-    league, told = league_of(2), []
+def test_results_belong_to_their_pairs_in_chunks_of_any_size(monkeypatch):
+    """Striker and random among untrained generations, in chunks of one pair and in one chunk."""
+    league, progress = league_of(2), []
     pairs = [(0, 1), ("striker", "random"), (1, 0), ("random", "striker")]
-    for at_once in (4, 250):
-        monkeypatch.setattr(ratings, "TABLES_AT_ONCE", at_once)
-        won = play_pairs(league, pairs, rounds=8, seed=0, tables_per_pair=4, progress=told.append)
+    for max_tables in (4, 250):
+        monkeypatch.setattr(ratings, "MAX_TABLES", max_tables)
+        won = play_pairs(league, pairs, rounds=8, seed=0, tables_per_pair=4, progress=progress.append)
         assert (won.sum(axis=1) == 8).all()
         assert won[1, 0] > won[1, 1] and won[3, 0] < won[3, 1]
-    assert told == [0.25, 0.5, 0.75, 1.0, 1.0]
-    with pytest.raises(ValueError, match="rounds = 0"):
-        play_pairs(league, pairs, 0, 0)
+    assert progress == [0.25, 0.5, 0.75, 1.0, 1.0]
     with pytest.raises(ValueError, match="generation = 7"):
         payoff(league, [0, 7], 1, 0)
 
 
 def matches_of(seed: int = 0) -> pd.DataFrame:
-    """Ten generations that get better, each against every third before it and two anchors."""
+    """Ten generations of growing strength, each against every third before it and two scripted players."""
     rng, rows = np.random.default_rng(seed), []
     strength = {**{g: 40.0 * g for g in range(10)}, "random": -50.0, "striker": 300.0}
     for g in range(1, 10):
         for other in (*range(0, g, 3), "random", "striker"):
             won = int(rng.binomial(50, 1 / (1 + 10 ** ((strength[other] - strength[g]) / 400))))
             rows.append((g, other, won, 50 - won, 3))
-    return pd.DataFrame(rows, columns=list(MATCHES))
+    return pd.DataFrame(rows, columns=list(MATCH_COLUMNS))
 
 
-def test_matches_rate_everybody_who_occurs():
+def test_ratings_of_matches_are_of_all_players():
     rated = ratings_of_matches(matches_of())
     assert list(rated.columns) == ["member", "rating", "low", "high"]
     assert list(rated["member"]) == [*range(10), "random", "striker"]
@@ -205,7 +205,7 @@ def test_matches_rate_everybody_who_occurs():
         ratings_of_matches(matches_of().head(0))
 
 
-def test_the_order_of_the_matches_changes_no_bit():
+def test_order_of_the_matches_does_not_matter():
     matches = matches_of()
     rated = ratings_of_matches(matches)
     for seed in range(5):
@@ -215,7 +215,7 @@ def test_the_order_of_the_matches_changes_no_bit():
     pd.testing.assert_frame_equal(ratings_of_matches(halves), rated, check_exact=True)
 
 
-def test_matches_survive_being_written_down(tmp_path):
+def test_matches_are_restored_from_their_file(tmp_path):
     matches = matches_of()
     matches.to_csv(tmp_path / "matches.csv", index=False)
     again = read_matches(tmp_path / "matches.csv")
@@ -226,16 +226,19 @@ def test_matches_survive_being_written_down(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("generation,opponent,won,lost\n1,0,1,2\n", "has the columns generation, opponent, won, lost, not"),
+        ("generation,opponent,won,lost\n1,0,1,2\n", "has the columns generation, opponent, won, lost, must have"),
         ("generation,opponent,won,lost,undecided\n1,0,1,-2,0\n", "row 1: lost = -2 must be a whole number"),
         ("generation,opponent,won,lost,undecided\n1,0,1,2,0\n2,0,x,2,0\n", "row 2: won = x must be a whole number"),
         ("generation,opponent,won,lost,undecided\n1,0,1.5,2,0\n", "won = 1.5 must be a whole number"),
-        ("generation,opponent,won,lost,undecided\n1,,1,2,0\n", "opponent = nan must be a generation or an anchor"),
+        (
+            "generation,opponent,won,lost,undecided\n1,,1,2,0\n",
+            "opponent = nan must be a generation or a scripted player",
+        ),
         ("", "No columns"),
         ('generation,opponent,won,lost,undecided\n"1,0', "matches.csv"),
     ],
 )
-def test_a_file_of_something_else_is_refused(tmp_path, text, message):
+def test_invalid_files_are_named(tmp_path, text, message):
     (tmp_path / "matches.csv").write_text(text)
     with pytest.raises(ValueError, match=message) as refused:
         read_matches(tmp_path / "matches.csv")

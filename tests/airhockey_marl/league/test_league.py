@@ -1,4 +1,4 @@
-"""Frozen generations, line-ups that share the tables, and matches."""
+"""The league: frozen generations, batches of opponents, files, and matches."""
 
 import pytest
 import torch
@@ -20,7 +20,7 @@ def league_of(generations: int) -> League:
     return league
 
 
-def test_training_never_moves_a_generation():
+def test_training_does_not_change_frozen_generations():
     policy = GaussianPolicy([8])
     learner, league = TRPOConfig(**SETTINGS).learner(policy, 0.9), League(GaussianPolicy([8]))
     league.add(policy)
@@ -31,42 +31,42 @@ def test_training_never_moves_a_generation():
     assert [weights_hash(snapshot) for snapshot in league.snapshots] == league.hashes
     player = league.player(0)
     with torch.no_grad():
-        player.head.bias += 1.0  # a player is a copy too
+        player.head.bias += 1.0  # a copy as well
     assert weights_hash(league.generation(0)) == league.hashes[0]
 
 
-@pytest.mark.parametrize("members", [[5, 0, 3, 3], ["striker", 2, "random", 4], ["defender"] * 4])
-def test_a_lineup_answers_table_by_table_like_the_members_it_has(members):
+@pytest.mark.parametrize("player_ids", [[5, 0, 3, 3], ["striker", 2, "random", 4], ["defender"] * 4])
+def test_opponent_batch_equals_its_players_table_by_table(player_ids):
     league = league_of(6)
-    lineup = league.lineup(members)
     observation = torch.randn(20, 1, 12)
-    mean, std = lineup(observation)
+    mean, std = league.opponent_batch(player_ids)(observation)
     assert mean.shape == std.shape == (20, 1, 2)
     for table in range(20):
-        member = members[table // 5]
-        player = SCRIPTED_PLAYERS[member] if isinstance(member, str) else league.player(member)
+        player_id = player_ids[table // 5]
+        player = SCRIPTED_PLAYERS[player_id] if isinstance(player_id, str) else league.player(player_id)
         expected = player(observation[table])
         assert torch.allclose(mean[table], expected[0], atol=1e-6)
         assert torch.allclose(std[table], expected[1], atol=1e-6)
 
 
-def test_members_that_are_not_there_are_named():
-    with pytest.raises(ValueError, match="anchor = 'goalie' must be one of random, defender, striker"):
-        league_of(2).lineup([0, "goalie"])
+def test_unknown_players_are_named():
+    with pytest.raises(ValueError, match="scripted player = 'goalie' must be one of random, defender, striker"):
+        league_of(2).opponent_batch([0, "goalie"])
     with pytest.raises(ValueError, match="generation = 7 must be below 2"):
-        league_of(2).lineup([7, "random"])
+        league_of(2).opponent_batch([7, "random"])
 
 
-def test_a_league_survives_being_written_down():
+def test_stacked_weights_restore_the_league():
     league = league_of(3)
-    assert League.from_stacked(GaussianPolicy([8]), league.stacked()).hashes == league.hashes
+    weights = league.stacked_weights()
+    assert League.from_stacked_weights(GaussianPolicy([8]), weights).hashes == league.hashes
     with pytest.raises(ValueError, match="the model has"):
-        League.from_stacked(GaussianPolicy([9]), league.stacked())
+        League.from_stacked_weights(GaussianPolicy([9]), weights)
     with pytest.raises(ValueError, match="is missing"):
-        League.from_stacked(GaussianPolicy([8, 8]), league.stacked())
+        League.from_stacked_weights(GaussianPolicy([8, 8]), weights)
 
 
-def test_a_league_is_read_from_its_file_and_cut_short(tmp_path):
+def test_file_restores_the_league_and_its_prefixes(tmp_path):
     league = League(GaussianPolicy([8], "paddle"))
     for seed in range(3):
         torch.manual_seed(seed)
@@ -74,17 +74,17 @@ def test_a_league_is_read_from_its_file_and_cut_short(tmp_path):
     league.save(tmp_path / "league.safetensors")
     read = League.load(tmp_path / "league.safetensors")
     assert read.hashes == league.hashes and read.policy.inputs.origin == "paddle"
-    assert read.until(1).hashes == league.hashes[:2] and read.until(-1).hashes == league.hashes
+    assert read.prefix(1).hashes == league.hashes[:2] and read.prefix(-1).hashes == league.hashes
     observation = torch.randn(5, 12)
     assert torch.equal(read.player(2)(observation)[0], league.player(2)(observation)[0])
 
 
-def test_a_generation_that_is_not_there_is_named():
+def test_missing_generation_is_named():
     with pytest.raises(ValueError, match="generation = 3 must be below 3"):
         league_of(3).generation(3)
 
 
-def test_matches_are_fair_and_follow_from_the_seed():
+def test_matches_are_fair_and_reproducible():
     policy = league_of(1).player(0)
 
     def play(seed: int):

@@ -1,0 +1,76 @@
+"""The learner and its opponents acting at the same tables, and the learner's part of the collected data."""
+
+import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModule, TensorDictSequential
+from torch import Tensor, nn
+
+from airhockey_marl.algorithms.reward_shaping import RewardShaping
+from airhockey_marl.league.opponent_batch import TableSlice
+from airhockey_marl.players.networks import GaussianPolicy
+
+LEARNER, OPPONENT = "left", "right"  # either side observes the table from its own end: one side is enough to learn on
+
+
+class GaussianSampling(nn.Module):
+    """Actions (..., 2) sampled from a policy at observations (..., 12).
+
+    Cheaper than a `ProbabilisticActor`: the algorithms compute log-probabilities later, for a whole batch at a time.
+
+    Args:
+        tables: the tables of the observations; None for all tables. Noise is drawn for all tables and that of the
+            others is discarded, so that the noise at a table does not depend on the number of workers.
+    """
+
+    def __init__(self, policy: nn.Module, tables: TableSlice | None = None) -> None:
+        super().__init__()
+        self.policy, self.tables = policy, tables
+
+    def forward(self, observation: Tensor) -> Tensor:
+        mean, std = self.policy(observation)
+        if self.tables is None:
+            return mean + std * torch.randn_like(mean)
+        noise = torch.randn(self.tables.total, *mean.shape[1:], dtype=mean.dtype)
+        return mean + std * noise[self.tables.first : self.tables.last]
+
+
+class SwappablePolicy(nn.Module):
+    """A policy that can be replaced while a collector runs."""
+
+    def __init__(self, policy: nn.Module) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
+        return self.policy(observation)
+
+
+class TwoPlayerPolicy(TensorDictSequential):
+    """The policy of a worker's tables: a copy of the learner on the left, replaceable opponents on the right."""
+
+    def __init__(self, learner: GaussianPolicy, tables: TableSlice) -> None:
+        opponents = SwappablePolicy(learner)
+        super().__init__(make_actor(LEARNER, learner, tables), make_actor(OPPONENT, opponents, tables))
+        self.learner, self.opponents = learner, opponents
+
+
+def make_actor(agent: str, policy: nn.Module, tables: TableSlice | None = None) -> TensorDictModule:
+    """The actor that samples an agent's actions from a policy; see `GaussianSampling` for `tables`."""
+    sampling = GaussianSampling(policy, tables)
+    return TensorDictModule(sampling, in_keys=[(agent, "observation")], out_keys=[(agent, "action")])
+
+
+def learner_batch(
+    data: TensorDictBase, shaping: RewardShaping, shaping_strength: float, gamma: float
+) -> TensorDictBase:
+    """The learner's transitions, with shaped rewards: what `algorithms.base.Learner.update` takes, (tables, steps)."""
+    batch = data.select((LEARNER, "observation"), (LEARNER, "action"))[LEARNER].squeeze(-1)
+    next_step = data["next"].select("done", "terminated", "truncated")
+    next_step["observation"] = data["next", LEARNER, "observation"].squeeze(-2)
+    next_step["reward"] = data["next", LEARNER, "reward"].squeeze(-2)
+    if shaping_strength > 0:
+        next_step["reward"] += shaping_strength * shaping.reward(
+            batch["observation"], next_step["observation"], next_step["terminated"], gamma
+        )
+    batch["next"] = next_step
+    return batch
