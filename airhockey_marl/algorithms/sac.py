@@ -111,7 +111,7 @@ class ReplayBuffer(nn.Module):
         ("next", "terminated"): 1,
     }
 
-    def __init__(self, capacity: int, device: torch.device | None = None) -> None:
+    def __init__(self, capacity: int, device: torch.device | str = "cpu") -> None:
         super().__init__()
         self.transitions = TensorDict(batch_size=[capacity], device=device)
         for key, size in self.SIZES.items():
@@ -119,7 +119,7 @@ class ReplayBuffer(nn.Module):
             self.transitions[key] = torch.zeros(capacity, size, dtype=dtype, device=device)
             name = key if isinstance(key, str) else "_".join(key)
             self.register_buffer(name, self.transitions[key])  # the same memory
-        self.buffer = TensorDictReplayBuffer(storage=TensorStorage(self.transitions, device=self.transitions.device))
+        self.buffer = TensorDictReplayBuffer(storage=TensorStorage(self.transitions, device=device))
         self.buffer.empty()
 
     def __len__(self) -> int:

@@ -9,6 +9,7 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
+from airhockey_marl.commands.compare import main
 from airhockey_marl.evaluation import comparison as compare
 from airhockey_marl.experiment.files import find_files, save_tensors
 from airhockey_marl.league.league import League
@@ -48,7 +49,7 @@ def sweep(tmp_path) -> Path:
 
 def run_command(monkeypatch, tmp_path: Path, *arguments: str) -> None:
     monkeypatch.setattr(sys, "argv", ["compare", f"hydra.run.dir={tmp_path}/run", "rounds=4", *arguments])
-    compare.main()
+    main()
 
 
 def complaint(monkeypatch, capsys, tmp_path: Path, *arguments: str) -> str:

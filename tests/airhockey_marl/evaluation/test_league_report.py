@@ -204,7 +204,7 @@ def of(value: float, half: float) -> RatingDifference:
         ({"regressions": Regressions({}, 7)}, "none of 7 generations after 20 is rated below generation 10.", "yes"),
         (
             {"regressions": Regressions({30: of(-5, 9)}, 7)},
-            "1 of 7 generations after 20 is rated below generation 10 (30), none of them by more than the 95 % interval",
+            "1 of 7 generations after 20 is rated below generation 10 (30), none of them by more than the 95 %",
             "open",
         ),
         (
@@ -229,7 +229,7 @@ def of(value: float, half: float) -> RatingDifference:
             "open",
         ),
         ({"best_response": [(9, Proportion.from_counts(80, 100))]}, "the last generation can be exploited.", None),
-        ({"best_response": [(9, Proportion.from_counts(20, 100))]}, "no weakness was metrics.", None),
+        ({"best_response": [(9, Proportion.from_counts(20, 100))]}, "no weakness was found.", None),
         ({"best_response": [(9, Proportion.from_counts(50, 100))]}, "about as strong as the last generation.", None),
     ],
 )
