@@ -29,7 +29,7 @@ class PPOConfig:
 
     Attributes:
         clip_epsilon: largest distance of an action's probability ratio from 1 that the surrogate rewards.
-        epochs, minibatch, lr: epochs on each batch, transitions per step of Adam, and its step size.
+        epochs, batch_size, lr: epochs on each batch, transitions per step of Adam, and its step size.
         entropy_coef: weight of the policy's entropy, in nats, in the objective.
         critic_coef: weight of the critic's squared error.
         max_grad_norm: largest norm of the gradient, of policy and critic together; a longer one is scaled to it.
@@ -39,7 +39,7 @@ class PPOConfig:
 
     clip_epsilon: float
     epochs: int
-    minibatch: int
+    batch_size: int
     lr: float
     entropy_coef: float
     critic_coef: float
@@ -49,7 +49,7 @@ class PPOConfig:
     critic_inputs: str
 
     def __post_init__(self) -> None:
-        check_counts(**labeled(self, "algorithm", "epochs", "minibatch"))
+        check_counts(**labeled(self, "algorithm", "epochs", "batch_size"))
         check_numbers(above=0.0, **labeled(self, "algorithm", "lr", "critic_coef", "max_grad_norm"))
         check_numbers(above=0.0, at_most=1.0, **labeled(self, "algorithm", "clip_epsilon", "gae_lambda"))
         check_numbers(0.0, **labeled(self, "algorithm", "entropy_coef"))
@@ -99,7 +99,7 @@ class PPOLearner:
             data["action_log_prob"] = IndependentNormal(mean, std).log_prob(data["action"])
         losses = []
         for _ in range(self.config.epochs):
-            for index in torch.randperm(len(data)).split(self.config.minibatch):
+            for index in torch.randperm(len(data)).split(self.config.batch_size):
                 losses.append(self._step(data[index]))
         with torch.no_grad():
             kl = kl_divergence(mean, std, *self.policy(data["observation"])).item()

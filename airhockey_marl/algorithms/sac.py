@@ -38,7 +38,7 @@ class SACConfig:
 
     Attributes:
         capacity: of the replay buffer, in transitions.
-        updates, minibatch: steps of Adam after each batch, and transitions sampled for each step.
+        updates, batch_size: steps of Adam after each batch, and transitions sampled for each step.
         policy_lr, q_lr, temperature_lr: step sizes of Adam.
         tau: fraction of the way from the target networks to the Q networks at each soft update.
         temperature: initial weight of the entropy, in goals per nat; it is learned.
@@ -49,7 +49,7 @@ class SACConfig:
 
     capacity: int
     updates: int
-    minibatch: int
+    batch_size: int
     policy_lr: float
     q_lr: float
     temperature_lr: float
@@ -60,7 +60,7 @@ class SACConfig:
     q_hidden: Sequence[int]
 
     def __post_init__(self) -> None:
-        check_counts(**labeled(self, "algorithm", "capacity", "updates", "minibatch"))
+        check_counts(**labeled(self, "algorithm", "capacity", "updates", "batch_size"))
         rates = ("policy_lr", "q_lr", "temperature_lr", "temperature")
         check_numbers(above=0.0, **labeled(self, "algorithm", *rates))
         check_numbers(above=0.0, at_most=1.0, **labeled(self, "algorithm", "tau"))
@@ -205,7 +205,7 @@ class SACLearner:
             std = self.policy(batch["observation"])[1].mean().item()
         history = []
         for _ in range(self.config.updates):
-            sample = self.replay_buffer.sample(self.config.minibatch)
+            sample = self.replay_buffer.sample(self.config.batch_size)
             losses = self.loss(sample)
             excess = (self.policy(sample["observation"])[0].abs() - 1.0).clamp(min=0.0).square().sum(-1).mean()
             self.optimizer.zero_grad()

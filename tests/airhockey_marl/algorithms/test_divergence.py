@@ -94,7 +94,7 @@ def test_every_algorithm_detects_a_nan_reward(algorithm):
         overrides = [f"algorithm={algorithm}", "+preset=smoke"]
         cfg = compose("train", overrides=overrides)
     if algorithm == "sac":
-        cfg.algorithm.updates, cfg.algorithm.minibatch, cfg.algorithm.capacity = 20, 64, 1000
+        cfg.algorithm.updates, cfg.algorithm.batch_size, cfg.algorithm.capacity = 20, 64, 1000
     torch.manual_seed(0)
     policy = GaussianPolicy([8], "paddle")
     learner = ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, 0.99)

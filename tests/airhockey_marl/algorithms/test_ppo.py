@@ -19,7 +19,7 @@ from airhockey_marl.players.networks import BODY_SCALE, GaussianPolicy
 SETTINGS = {
     "clip_epsilon": 0.2,
     "epochs": 5,
-    "minibatch": 700,
+    "batch_size": 700,
     "lr": 5e-3,
     "entropy_coef": 0.0,
     "critic_coef": 0.5,
@@ -180,7 +180,7 @@ def test_resuming_is_exact():
         ("clip_epsilon", 0),
         ("clip_epsilon", 2.0),
         ("epochs", 0),
-        ("minibatch", 0),
+        ("batch_size", 0),
         ("lr", -1.0),
         ("entropy_coef", -0.1),
         ("critic_coef", 0.0),

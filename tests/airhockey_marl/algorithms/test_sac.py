@@ -13,7 +13,7 @@ from tests.airhockey_marl.algorithms.test_ppo import check_resuming, foresight, 
 SETTINGS = {
     "capacity": 10_000,
     "updates": 30,
-    "minibatch": 256,
+    "batch_size": 256,
     "policy_lr": 1e-3,
     "q_lr": 3e-3,
     "temperature_lr": 1e-2,
@@ -113,7 +113,7 @@ def test_resuming_is_exact():
     [
         ("capacity", 0),
         ("updates", 0),
-        ("minibatch", -1),
+        ("batch_size", -1),
         ("policy_lr", 0.0),
         ("tau", 1.5),
         ("temperature", 0.0),
