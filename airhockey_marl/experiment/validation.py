@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     import numpy as np
     import torch
-    from tensordict import TensorDictBase
 
 CPU = "cpu"
 KINDS = {"fiu": "numbers", "u": "unsigned whole numbers", "V": "records"}  # of arrays, by `numpy.dtype.kind`
@@ -61,31 +60,6 @@ def check_arrays(kinds: str = "fiu", /, **arrays: tuple[np.ndarray, str]) -> Non
             raise ValueError(f"{name}: {kind_of(array)}, must be an array of {KINDS[kinds]}")
         if problem := _shape_error(array.shape, shape, sizes):
             raise ValueError(f"{name}: {problem}{_beside(name, arrays)}")
-
-
-def check_view(view: TensorDictBase, acted: bool = True) -> None:
-    """Raise unless this is a batch of transitions, see `Learner.update`.
-
-    Args:
-        acted: whether it must have actions.
-
-    Raises:
-        ValueError: names the entry that is absent, or of another shape or dtype.
-    """
-    import torch
-    from tensordict import TensorDictBase
-
-    if not isinstance(view, TensorDictBase):
-        raise ValueError(f"view: {kind_of(view)}, must be a TensorDict")
-    shapes = {"observation": "tables steps 12"} | ({"action": "tables steps 2"} if acted else {})
-    shapes |= {"next.observation": "tables steps 12", "next.reward": "tables steps 1"}
-    found = {name: view.get(tuple(name.split(".")), None) for name in (*shapes, "next.done", "next.terminated")}
-    if absent := [name for name, tensor in found.items() if tensor is None]:
-        raise ValueError(f"view: has no {', '.join(absent)}")
-    check_tensors(**{f"view.{name}": (found[name], shape) for name, shape in shapes.items()})
-    for name in ("next.done", "next.terminated"):
-        if found[name].dtype != torch.bool or found[name].shape != found["next.reward"].shape:
-            raise ValueError(f"view.{name}: {kind_of(found[name])}, must be bools, one for each reward")
 
 
 def check_rows(name: str, rows: np.ndarray, n: int) -> None:
