@@ -10,11 +10,13 @@ import socket
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+import psutil
+from filelock import FileLock, Timeout
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig
@@ -39,6 +41,7 @@ class RunRecord:
         host, pid, birth: of its process, see `process_start`.
         started, seconds: Unix time, and how long it took; None while it runs.
         error: why it failed, in one line.
+        headline: the numbers that it is known by, see `note_headline`.
     """
 
     folder: Path
@@ -51,6 +54,7 @@ class RunRecord:
     started: float = 0.0
     seconds: float | None = None
     error: str = ""
+    headline: str = ""
 
     @property
     def state(self) -> str:
@@ -72,24 +76,16 @@ class RunRecord:
 
 
 def process_start(pid: int) -> str:
-    """When a process began, in a form that no later process of the same number has; "" if there is none.
+    """When a process began, in seconds since the boot, which no later process of the same number has; "" if it is gone.
 
-    Where the system does not tell (there is no /proc), all living processes are born "alive".
+    Not the time of day, which an adjusted clock moves.
     """
-    if pid <= 0:
-        return ""
     try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+        process = psutil.Process(pid)
+        alive = pid > 0 and process.status() != psutil.STATUS_ZOMBIE
+        return f"{process.create_time() - psutil.boot_time():.2f}" if alive else ""
+    except (psutil.Error, ValueError, OverflowError):
         return ""
-    except PermissionError:
-        pass  # somebody else's, but there
-    try:
-        boot = Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()
-        fields = Path(f"/proc/{pid}/stat").read_text(encoding="utf-8").rpartition(")")[2].split()
-    except FileNotFoundError:
-        return "" if Path("/proc/self/stat").exists() else "alive"
-    return "" if fields[0] == "Z" else f"{boot} {fields[19]}"  # clock ticks from the boot to its start
 
 
 def read_run(folder: Path) -> RunRecord:
@@ -98,6 +94,7 @@ def read_run(folder: Path) -> RunRecord:
         facts: Any = json.loads((folder / RECORD).read_text(encoding="utf-8"))
         run = RunRecord(folder, **facts)
         sound = run.status in STATES and isinstance(run.pid, int) and isinstance(run.overrides, list)
+        sound &= isinstance(run.headline, str)
         sound &= isinstance(run.started, int | float) and isinstance(run.seconds, int | float | None)
     except (OSError, ValueError, TypeError):
         sound = False
@@ -169,7 +166,20 @@ class RunRecorder(Callback):
         error = " ".join(str(job_return._return_value).split()) if failed else ""
         end = {"status": "failed" if failed else "done", "error": error}
         for run in self._runs:
-            RunRecord(**vars(run) | end | {"seconds": round(time.time() - run.started, 1)}).write()
+            seconds, headline = round(time.time() - run.started, 1), read_run(run.folder).headline
+            replace(run, **end, seconds=seconds, headline=headline).write()
+
+
+def note_headline(folder: Path, headline: str) -> None:
+    """Write the numbers that the running job is known by, in a few words, into run.json, which `airhockey runs` lists.
+
+    Args:
+        folder: of the run, or of the one that it resumes. Without a run.json, as for a job that is not recorded,
+            nothing is written.
+    """
+    run = read_run(folder)
+    if run.command:
+        replace(run, headline=headline).write()
 
 
 def files_at_risk(folder: Path) -> str | None:
@@ -191,10 +201,9 @@ def files_at_risk(folder: Path) -> str | None:
 
 
 def _require_free(folder: Path, key: str) -> None:
-    """Refuse a folder by the one exception that Hydra lets a callback raise; `cli.command` says it in one line."""
+    """Refuse a folder by the one exception that Hydra lets a callback raise; `command.run` prints it in one line."""
     if lost := files_at_risk(folder):
-        print(f"{key}: {folder} holds {lost}; a run must have a folder of its own", file=sys.stderr)
-        sys.exit(2)
+        sys.exit(f"{key}: {folder} holds {lost}; a run must have a folder of its own")
 
 
 def _folders(config: DictConfig) -> list[Path]:
@@ -203,44 +212,31 @@ def _folders(config: DictConfig) -> list[Path]:
     return [own, Path(resumed)] if is_run else [own]
 
 
-try:
-    import fcntl
-except ImportError:  # not a POSIX system: there, nobody is kept out
-    fcntl = None
-
-
-def acquire_lock(folder: Path, name: str) -> int:
-    """The handle of a folder's lock, which this process now holds; to close it gives the folder free.
+def acquire_lock(folder: Path, name: str) -> FileLock:
+    """Lock a folder for this process, until the lock is released or the process ends.
 
     Args:
         folder: it must exist.
-        name: of the folder, for the person whom it is refused to.
+        name: of the folder, in the error message.
 
     Raises:
-        ValueError: another process has it; says which.
+        ValueError: another process holds the lock; says which.
         OSError: the folder cannot be written to.
     """
-    handle = os.open(folder / ".lock", os.O_RDWR | os.O_CREAT | getattr(os, "O_CLOEXEC", 0), 0o644)
+    lock = FileLock(folder / ".lock", timeout=0, thread_local=False)
     try:
-        if fcntl is not None:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        holder = os.pread(handle, 32, 0).decode("ascii", "replace").strip()
-        os.close(handle)
-        raise ValueError(
-            f"{name} = {folder} is in use by process {holder or 'unknown'}; one at a time can have it"
-        ) from None
-    try:
-        os.ftruncate(handle, 0)
-        os.write(handle, f"{os.getpid()}\n".encode("ascii"))
-    except OSError:  # the disk is full: the lock holds, and the number is a courtesy
-        pass
-    return handle
+        lock.acquire()
+    except Timeout:
+        pid = _beginning(folder / ".lock").strip() or "unknown"
+        raise ValueError(f"{name} = {folder} is in use by process {pid}; one at a time can have it") from None
+    with suppress(OSError):  # on a full disk, or on Windows, the lock holds without the number
+        Path(lock.lock_file).write_text(f"{os.getpid()}\n", encoding="ascii")
+    return lock
 
 
 @contextmanager
 def lock_run_folder(folder: Path, name: str) -> Iterator[None]:
-    """Have a run folder for oneself, without what a killed process has left in it half written.
+    """Hold the lock of a run folder, and remove what a killed process has left half written in it.
 
     Raises:
         InputError: another process has it.
@@ -248,9 +244,9 @@ def lock_run_folder(folder: Path, name: str) -> Iterator[None]:
     """
     with report_input_errors(), name_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        handle = acquire_lock(folder, name)
+        lock = acquire_lock(folder, name)
     try:
         remove_temporary_files(folder)
         yield
     finally:
-        os.close(handle)
+        lock.release()

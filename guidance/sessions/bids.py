@@ -12,7 +12,6 @@ everything can be derived from participants.tsv and the games. One process at a 
 with the process.
 """
 
-import os
 import re
 import secrets
 import shutil
@@ -21,6 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from filelock import FileLock
 
 from airhockey_marl.experiment.files import fsync_dir, name_write_errors, remove_temporary_files
 from airhockey_marl.experiment.run_folder import acquire_lock
@@ -78,7 +78,7 @@ class Records:
         self.folder, self._active = Path(folder), None
         with name_write_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
-            self._lock: int | None = acquire_lock(self.folder, "records")
+            self._lock: FileLock | None = acquire_lock(self.folder, "records")
         try:
             self.manifest = self._require_same_study(manifest)
             remove_temporary_files(self.folder)
@@ -189,8 +189,6 @@ class Records:
         if self._active is not None:
             self._active.close()
         if self._lock is not None:
-            handle, self._lock = self._lock, None
-            os.close(handle)  # releases the lock
 
     def __enter__(self) -> "Records":
         return self

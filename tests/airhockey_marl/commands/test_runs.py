@@ -1,6 +1,5 @@
 """The list of runs: what each is known by, and that nothing but what failed is ever removed."""
 
-import json
 import os
 import shutil
 import socket
@@ -72,12 +71,12 @@ STATES = {
 def call(monkeypatch, *arguments: str, answer: str = "y") -> None:
     monkeypatch.setattr(sys, "argv", ["runs", *arguments])
     monkeypatch.setattr("builtins.input", lambda question: answer)
-    runs.main()
+    start_command(runs.__name__)
 
 
 def test_every_run_is_listed_with_what_became_of_it(monkeypatch, capsys, outputs):
     assert {run.folder.name: run.state for run in runs_below(outputs)} == STATES
-    (outputs / "done" / "card.json").write_text(json.dumps({"win_rate_of_last_against": {"0": 0.95, "striker": 0.5}}))
+    note_headline(outputs / "done", "beats generation 0 0.95, striker 0.5")
     call(monkeypatch, f"outputs={outputs}")
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
     assert len(lines) == 1 + len(STATES)
