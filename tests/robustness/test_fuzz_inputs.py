@@ -21,6 +21,7 @@ from safetensors.torch import save_file
 from airhockey_marl.commands import train
 from airhockey_marl.experiment.checkpoint import Checkpoint
 from airhockey_marl.experiment.command import CONF, resumed_config
+from airhockey_marl.experiment.command import run as start_command
 from airhockey_marl.experiment.config import read_config
 from airhockey_marl.experiment.files import load_tensors, save_tensors
 from airhockey_marl.league.league import League
@@ -257,7 +258,7 @@ def test_a_hostile_checkpoint_is_refused_in_one_line(tmp_path, monkeypatch, caps
     run, trap = tmp_path / "run", tmp_path / "executed"
     (run / ".hydra").mkdir(parents=True)
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        OmegaConf.save(compose("train", overrides=["+preset=smoke"]), run / ".hydra" / "config.yaml")
+        OmegaConf.save(compose("train", overrides=["+preset/train=smoke"]), run / ".hydra" / "config.yaml")
     policy = GaussianPolicy([64, 64], "paddle")
     league = League(policy)
     league.add(policy)
@@ -271,7 +272,7 @@ def test_a_hostile_checkpoint_is_refused_in_one_line(tmp_path, monkeypatch, caps
         file.write_bytes((run / "league.safetensors").read_bytes()[:1000])
     monkeypatch.setattr(sys, "argv", ["train", f"resume={run}", f"hydra.run.dir={tmp_path}/log"])
     with pytest.raises(SystemExit) as stopped:
-        train.main()
+        start_command(train.__name__)
     said = capsys.readouterr().err
     assert stopped.value.code == 2 and said.count("\n") == 1, said
     assert said.startswith(f"error: {file} is not a safetensors file") and not trap.exists()

@@ -14,6 +14,7 @@ from airhockey_marl.algorithms.divergence import name_divergence, require_finite
 from airhockey_marl.algorithms.trpo import TRPOLearner
 from airhockey_marl.commands import train
 from airhockey_marl.experiment.command import CONF
+from airhockey_marl.experiment.command import run as start_command
 from airhockey_marl.experiment.files import load_tensors
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.commands import meta_train
@@ -91,7 +92,7 @@ def batch_with(reward: float) -> TensorDict:
 @pytest.mark.parametrize("algorithm", ["trpo", "ppo", "sac"])
 def test_every_algorithm_detects_a_nan_reward(algorithm):
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        overrides = [f"algorithm={algorithm}", "+preset=smoke"]
+        overrides = [f"algorithm={algorithm}", "+preset/train=smoke"]
         cfg = compose("train", overrides=overrides)
     if algorithm == "sac":
         cfg.algorithm.updates, cfg.algorithm.batch_size, cfg.algorithm.capacity = 20, 64, 1000
@@ -131,7 +132,7 @@ def test_diverged_training_ends_in_one_line_and_can_be_resumed(tmp_path, monkeyp
     monkeypatch.setattr(TRPOLearner, "update", spoiled)
     monkeypatch.setattr(sys, "argv", ["train", *few])
     with pytest.raises(SystemExit) as stopped:
-        train.main()
+        start_command(train.__name__)
     said = capsys.readouterr().err
     assert stopped.value.code == 1 and said.startswith("error: stopped in generation 3: update/critic_loss = nan"), said
     assert said.count("\n") == 1 and said.strip().endswith(
@@ -141,7 +142,7 @@ def test_diverged_training_ends_in_one_line_and_can_be_resumed(tmp_path, monkeyp
     assert load_tensors(tmp_path / "run" / "state.safetensors")[1]["generation"] == 2
     monkeypatch.setattr(TRPOLearner, "update", update)
     monkeypatch.setattr(sys, "argv", ["train", f"resume={tmp_path}/run", f"hydra.run.dir={tmp_path}/log"])
-    train.main()
+    start_command(train.__name__)
     assert (tmp_path / "run" / "card.json").is_file()
 
 
@@ -170,7 +171,7 @@ def test_diverged_meta_training_ends_in_one_line(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(meta_train, "train_maml", spoiled)
     monkeypatch.setattr(sys, "argv", ["meta_train", "+preset=smoke", f"hydra.run.dir={tmp_path}/run"])
     with pytest.raises(SystemExit) as stopped:
-        meta_train.main()
+        start_command(meta_train.__name__)
     said = capsys.readouterr().err
     assert stopped.value.code == 1 and "error: stopped in maml training: loss: nan, gradient nan" in said, said
     facts = load_tensors(tmp_path / "run" / "state.safetensors")[1]

@@ -23,10 +23,10 @@ def targets(node) -> list[str]:
 
 
 @pytest.mark.parametrize("name", PRIMARY)
-@pytest.mark.parametrize("preset", [[], ["+preset=smoke"]])
+@pytest.mark.parametrize("preset", [[], ["smoke"]])
 def test_every_command_composes_and_what_it_names_exists(name, preset):
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose(name, overrides=preset)
+        cfg = compose(name, overrides=[f"+preset/{name}={choice}" for choice in preset])
     for target in targets(OmegaConf.to_container(cfg)):
         assert callable(hydra.utils.get_object(target))
 

@@ -20,7 +20,8 @@ pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
 
 TRPO = ["airhockey_marl.train", "-m", "+sweep=trpo", "+preset=smoke", "steps_per_generation=500", "pictures_every=0"]
 MAML = [
-    "guidance.commands.meta_train",
+    "guidance",
+    "meta_train",
     "-m",
     "+sweep=maml",
     "+preset=smoke",
@@ -87,6 +88,6 @@ def test_a_search_that_was_killed_is_gone_on_with(tmp_path):
 @pytest.mark.parametrize(("sweep", "command"), [("trpo", "train"), ("maml", "meta_train")])
 def test_what_is_searched_for_exists(sweep, command):
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose(command, overrides=[f"+sweep={sweep}"], return_hydra_config=True)
+        cfg = compose(command, overrides=[f"+sweep/{command}={sweep}"], return_hydra_config=True)
     names = list(cfg.hydra.sweeper.params)
     assert names and all(isinstance(OmegaConf.select(cfg, name), float) for name in names)

@@ -82,7 +82,7 @@ def test_matches_count_every_round_and_are_reproducible():
 @pytest.mark.parametrize("algorithm", ["trpo", "ppo", "sac"])
 def test_best_response_restores_the_random_state(algorithm):
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        cfg = compose("train", overrides=[f"algorithm={algorithm}", "+preset=smoke"])
+        cfg = compose("train", overrides=[f"algorithm={algorithm}", "+preset/train=smoke"])
     before = torch.get_rng_state()
     league = League(GaussianPolicy(cfg.hidden))
     league.add(GaussianPolicy(cfg.hidden))
