@@ -1,6 +1,6 @@
 """`python -m airhockey_marl.train`: see `airhockey_marl.commands.train`."""
 
-from airhockey_marl.commands.train import main
+from airhockey_marl.experiment.command import run
 
 if __name__ == "__main__":
-    main()
+    run("airhockey_marl.commands.train")

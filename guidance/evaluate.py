@@ -1,6 +1,6 @@
 """`python -m guidance.evaluate`: see `guidance.commands.evaluate`."""
 
-from guidance.commands.evaluate import main
+from airhockey_marl.experiment.command import run
 
 if __name__ == "__main__":
-    main()
+    run("guidance.commands.evaluate")

@@ -10,28 +10,38 @@ comparison.csv, a row per match and side, and comparison.png into its run folder
 
 from pathlib import Path
 
-import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.evaluation.comparison import (
-    LEAGUE_FILE,
-    check_runs,
-    compare,
-    comparison_figure,
-    read_run,
-    screen_table,
-)
-from airhockey_marl.experiment.command import command, report_input_errors, require_counts
+from airhockey_marl.experiment.command import report_input_errors, require_counts
 from airhockey_marl.experiment.files import atomic_write, find_files
-from airhockey_marl.experiment.plotting import save_png
 
 
-@command("compare")
+def check(cfg: DictConfig) -> None:
+    """Raise for values that cannot be used.
+
+    Raises:
+        ValueError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "rounds", "threads")
+    require_counts(cfg, "seed", least=0)
+
+
 def main(cfg: DictConfig) -> None:
+    """Play the matches, write them down and draw them."""
+    import torch
+
+    from airhockey_marl.evaluation.comparison import (
+        LEAGUE_FILE,
+        check_runs,
+        compare,
+        comparison_figure,
+        read_run,
+        screen_table,
+    )
+    from airhockey_marl.experiment.plotting import save_png
+
     with report_input_errors():
-        require_counts(cfg, "rounds", "threads")
-        require_counts(cfg, "seed", least=0)
         places = [cfg.runs] if isinstance(cfg.runs, str) else cfg.runs
         runs = [read_run(file.parent) for file in find_files(places, LEAGUE_FILE)]
         check_runs(runs)
@@ -43,7 +53,3 @@ def main(cfg: DictConfig) -> None:
     save_png(comparison_figure(results), folder / "comparison.png", dpi=150)
     print(screen_table(results))
     print(f"\n{folder / 'comparison.csv'}\n{folder / 'comparison.png'}")
-
-
-if __name__ == "__main__":
-    main()

@@ -10,33 +10,38 @@ folder, and what TensorBoard reads.
 import json
 from pathlib import Path
 
-import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.evaluation.league_metrics import EvaluationBudget, check_league
-from airhockey_marl.evaluation.league_report import LAYOUT, TAGS, log_to_tensorboard, summary, write_report
-from airhockey_marl.evaluation.matches import FRAME_SKIP
-from airhockey_marl.evaluation.ratings import read_matches
-from airhockey_marl.experiment.command import (
-    InputError,
-    ProgressBar,
-    command,
-    report_input_errors,
-    require_counts,
-    require_numbers,
-)
-from airhockey_marl.experiment.tensorboard import log_run_header, open_writer, tensorboard_dir
-from airhockey_marl.league.league import League
-from airhockey_marl.self_play.best_response import best_response
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.config import InputError
+from airhockey_marl.experiment.progress import ProgressBar
 
 
-@command("league_report")
+def check(cfg: DictConfig) -> None:
+    """Raise for values that cannot be used.
+
+    Raises:
+        ValueError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "threads", "every", "rounds", "match_rounds", "save_tables", "std_tables")
+    require_counts(cfg, "seed", "exploit_generations", least=0)
+    require_numbers(cfg, "std_seconds")
+
+
 def main(cfg: DictConfig) -> None:
+    """Measure the league and write its report."""
+    import torch
+
+    from airhockey_marl.evaluation.league_metrics import EvaluationBudget, check_league
+    from airhockey_marl.evaluation.league_report import LAYOUT, TAGS, log_to_tensorboard, summary, write_report
+    from airhockey_marl.evaluation.matches import FRAME_SKIP
+    from airhockey_marl.evaluation.ratings import read_matches
+    from airhockey_marl.experiment.tensorboard import log_run_header, open_writer, tensorboard_dir
+    from airhockey_marl.league.league import League
+    from airhockey_marl.self_play.best_response import best_response
+
     with report_input_errors():
-        require_counts(cfg, "threads", "every", "rounds", "match_rounds", "save_tables", "std_tables")
-        require_counts(cfg, "seed", "exploit_generations", least=0)
-        require_numbers(cfg, "std_seconds")
         run = Path(cfg.run)
         league = League.load(run / "league.safetensors")
         matches = read_matches(run / "matches.csv") if (run / "matches.csv").is_file() else None
@@ -78,7 +83,3 @@ def read_card(path: Path, hashes: list[str]) -> dict:
     if card.get("hashes") != hashes:
         raise InputError(f"{path} is the card of another league: its hashes are not those of league.safetensors")
     return {key: value for key, value in card.items() if key != "hashes"} | {"hash_of_last": hashes[-1]}
-
-
-if __name__ == "__main__":
-    main()

@@ -9,25 +9,29 @@ scores on the cards the other. Seeds are averaged. Writes grid.csv, a row per ru
 table.
 """
 
+from __future__ import annotations
+
 import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.experiment.command import InputError, command, report_input_errors
+from airhockey_marl.experiment.command import report_input_errors
+from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import atomic_write, find_files
-from airhockey_marl.experiment.tensorboard import flatten_settings
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 CARD = "card.json"
 NOT_SETTINGS = ("resume",)  # they say where a run was written, not what it was
 
 
-@command("sweep_table")
 def main(cfg: DictConfig) -> None:
+    """Write the table of all runs, and print it averaged over seeds."""
     with report_input_errors():
         cards = read_cards([cfg.runs] if isinstance(cfg.runs, str) else list(cfg.runs))
         rows, varied, scores = tabulate(cards)
@@ -68,6 +72,10 @@ def tabulate(cards: Mapping[Path, Mapping[str, Any]]) -> tuple[pd.DataFrame, lis
     Raises:
         ValueError: the cards have no scores.
     """
+    import pandas as pd
+
+    from airhockey_marl.experiment.tensorboard import flatten_settings
+
     settings = pd.DataFrame([flatten_settings(card["config"]) for card in cards.values()])
     varied = [name for name in settings if name not in NOT_SETTINGS and settings[name].nunique(dropna=False) > 1]
     tables = [
@@ -97,7 +105,3 @@ def over_seeds(rows: pd.DataFrame, varied: list[str], scores: list[str], by: str
     means = rows.groupby(groups, dropna=False)[scores].mean()
     means.insert(0, "runs", rows.groupby(groups, dropna=False).size())
     return means.sort_values(by).reset_index()
-
-
-if __name__ == "__main__":
-    main()

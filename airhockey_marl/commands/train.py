@@ -16,30 +16,13 @@ TensorBoard shows end bit for bit as those of a run that was never stopped (but 
 from contextlib import closing
 from pathlib import Path
 
-import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.experiment.command import (
-    InputError,
-    command,
-    report_input_errors,
-    require_counts,
-    require_device,
-    require_numbers,
-    resumed_config,
-)
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_device, require_numbers
+from airhockey_marl.experiment.config import InputError, resumed_config
 from airhockey_marl.experiment.files import write_json
-from airhockey_marl.experiment.run_folder import lock_run_folder
-from airhockey_marl.experiment.tensorboard import log_final_scores
-from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
-from airhockey_marl.self_play.league_training import (
-    STATE_FILE,
-    STRONGEST_SCRIPT,
-    LeagueTraining,
-    model_card,
-    train_league,
-)
+from airhockey_marl.experiment.run_folder import lock_run_folder, note_headline
 
 
 def check(cfg: DictConfig) -> None:
@@ -51,7 +34,6 @@ def check(cfg: DictConfig) -> None:
     counts = ("threads", "generations", "steps_per_generation", "batch")
     require_counts(cfg, *counts, "env.tables", "env.frame_skip", "league.opponents")
     require_counts(cfg, "league.match_rounds", "league.match_every")
-    require_device(cfg)
     require_counts(cfg, "seed", "shaping.generations", "pictures_every", least=0)
     require_numbers(cfg, "gamma", "league.win_rate_decay", at_most=1.0)
     require_numbers(cfg, "env.round_seconds")
@@ -61,17 +43,29 @@ def check(cfg: DictConfig) -> None:
             raise InputError(
                 f"{whole} = {OmegaConf.select(cfg, whole)} must be a multiple of {part} = {OmegaConf.select(cfg, part)}"
             )
-    for name in cfg.league.scripted_players:
-        SCRIPTED_PLAYERS.find(name, "league.scripted_players")
 
 
-@command("train")
 def main(cfg: DictConfig) -> float:
     """Train; for a sweeper, the last generation's share of decided rounds against the strongest script."""
+    import torch
+
+    from airhockey_marl.experiment.tensorboard import log_final_scores
+    from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
+    from airhockey_marl.self_play.league_training import (
+        STATE_FILE,
+        STRONGEST_SCRIPT,
+        LeagueTraining,
+        model_card,
+        train_league,
+    )
+
     with report_input_errors():
         if cfg.resume is not None:
             cfg = resumed_config(Path(cfg.resume), STATE_FILE, cfg)
         check(cfg)
+        require_device(cfg)
+        for name in cfg.league.scripted_players:
+            SCRIPTED_PLAYERS.find(name, "league.scripted_players")
         torch.set_num_threads(cfg.threads)
         torch.manual_seed(cfg.seed)
         training = LeagueTraining(cfg)
@@ -82,13 +76,12 @@ def main(cfg: DictConfig) -> float:
         card = model_card(cfg, training.league)
         write_json(folder / "card.json", {"command": made_by, "seconds": round(training.seconds, 1), **card})
         scores = card["win_rate_of_last_against"]
+        note_headline(
+            folder, f"beats generation 0 {scores['0']:.3g}, {STRONGEST_SCRIPT} {scores[STRONGEST_SCRIPT]:.3g}"
+        )
         # the page shows the first five by name until it is asked for others: the scripts come first
         shown = {
             f"{'against' if name in SCRIPTED_PLAYERS else 'generation'}_{name}": rate for name, rate in scores.items()
         }
         log_final_scores(folder, cfg, shown, card["steps"])
     return scores[STRONGEST_SCRIPT]
-
-
-if __name__ == "__main__":
-    main()

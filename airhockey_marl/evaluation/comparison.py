@@ -19,7 +19,6 @@ from omegaconf import OmegaConf
 from torch import nn
 
 from airhockey_marl.evaluation.matches import RESULT_COLUMNS, MatchResult, play_matches
-from airhockey_marl.experiment.command import ProgressBar
 from airhockey_marl.experiment.config import read_config
 from airhockey_marl.experiment.plotting import (
     BLUE,
@@ -32,6 +31,7 @@ from airhockey_marl.experiment.plotting import (
     label_panel,
     new_figure,
 )
+from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.league.league import League
 from airhockey_marl.players.players import stochastic
 

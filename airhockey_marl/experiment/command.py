@@ -1,32 +1,54 @@
-"""How every command of this project starts: Hydra underneath, a manual for `--help`, one clear line for an error."""
+"""How every command starts: Hydra underneath, a manual for `--help`, one clear line for an error.
 
-import functools
+A command is a module in a package `commands`: its docstring is the manual, `main(cfg)` runs it, and `check(cfg)`, if it
+has one, raises a ValueError for values that it cannot run with. It is configured by `conf/<name of the module>.yaml`.
+What is typed is checked before the module is imported, because models, compilers and statistics take seconds to import.
+"""
+
+import ast
+import atexit
 import io
 import os
+import shutil
 import sys
+import tempfile
 import traceback
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from argparse import Namespace
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, redirect_stderr
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from types import MappingProxyType
-from typing import Any
+from typing import Any, NoReturn
 
 import hydra
+from hydra import initialize_config_dir
+from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import env_override
 from hydra.errors import HydraException, InstantiationException
 from hydra.types import RunMode
-from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from tqdm import tqdm
 
-from airhockey_marl.experiment.config import read_config
+from airhockey_marl.experiment.config import (
+    COMMAND_GROUPS,
+    CONF,
+    InputError,
+    also_search,
+    check_overrides,
+    default_choices,
+    describe,
+    group_options,
+)
 from airhockey_marl.experiment.files import UNWRITABLE, WriteError
+from airhockey_marl.experiment.registry import ENVIRONMENT, load_plugins
+from airhockey_marl.experiment.validation import check_counts, check_numbers
 
-ROOT = Path(__file__).resolve().parents[2]
+PACKAGE = Path(__file__).parents[1]
 LAUNCHERS = Path(__file__).parent / "launchers"
-CONF = ROOT / "conf"  # absolute: a relative path means something else under a console script
 # What a choice of Hydra's own groups needs, and the extra that brings it.
 JOBLIB = ("hydra_plugins.hydra_joblib_launcher", "joblib")
 SUBMITIT = ("hydra_plugins.hydra_submitit_launcher", "submitit")
@@ -37,35 +59,144 @@ PLUGINS = {
     "hydra/launcher=slurm": SUBMITIT,
     "hydra/launcher=slurm_here": SUBMITIT,
     RAY: ("ray", "ray"),
-    "sweep=maml": OPTUNA,
-    "sweep=trpo": OPTUNA,
     "hydra/sweeper=optuna": OPTUNA,
+    "sweep": OPTUNA,  # whichever
 }
 
-# ${project:path} in a yaml is a path in the project, from whatever folder a command is started.
-OmegaConf.register_new_resolver("project", lambda path: str(ROOT / path), replace=True)
+_terminal: Any = None  # standard error while Hydra's own is held back, see `run`
 
 
-class InputError(ValueError):
-    """Something the person at the keyboard can mend: named in one line, exit code 2, no traceback."""
+@dataclass(frozen=True)
+class Command:
+    """A command, by the name of its module. Called with a configuration it imports the module and runs it.
+
+    A launcher sends it to other processes: there, the module is imported anew.
+    """
+
+    module: str
+
+    @property
+    def name(self) -> str:
+        """Of the command, and of its yaml."""
+        return self.module.rpartition(".")[2]
+
+    @cached_property
+    def conf(self) -> Path:
+        """The folder of its yaml: `conf` beside a package of commands that brings its own, else this project's."""
+        own = Path(find_spec(self.module).origin).parents[1] / "conf"
+        return own if (own / f"{self.name}.yaml").is_file() else CONF
+
+    @cached_property
+    def doc(self) -> str:
+        """The module's docstring, without importing the module."""
+        return ast.get_docstring(ast.parse(Path(find_spec(self.module).origin).read_bytes())) or ""
+
+    def __call__(self, cfg: DictConfig) -> float | None:
+        """Run one job; in a sweep the others go on if it fails, so that it says here and now why."""
+        with redirect_stderr(_terminal or sys.stderr):
+            try:
+                OmegaConf.to_container(cfg, resolve=True)  # finds a broken reference now
+                provide_numba_cache()
+                module = import_module(self.module)
+                if hasattr(module, "check"):
+                    with report_input_errors():
+                        module.check(cfg)
+                return module.main(cfg)
+            except Exception as error:
+                if HydraConfig.get().mode == RunMode.MULTIRUN:
+                    _print_failed(error)
+                raise
+
+    def manual(self) -> str:
+        """The text of `--help`: the docstring, the options of each group, and the yaml as commented."""
+        with initialize_config_dir(str(self.conf), version_base="1.3"):
+            options = group_options(self.conf, self.name)
+        lines = [
+            self.doc,
+            "",
+            "Every key below can be set on the command line: key=value, group=choice, +preset=smoke;",
+            "-m sweeps: key=1,2,3 or 'condition=glob(*)'. --cfg job prints the resolved configuration.",
+            "--plugin=module imports a module that registers conditions, algorithms or other things of its own.",
+            "",
+            "Groups",
+            *(f"  {group} = {' | '.join(names)}" for group, names in options.items()),
+            "",
+            f"Keys (conf/{self.name}.yaml)",
+            (self.conf / f"{self.name}.yaml").read_text(encoding="utf-8").rstrip(),
+            "",
+        ]
+        return "\n".join(lines)
+
+    def expand(self, arguments: Sequence[str]) -> list[str]:
+        """What arguments stand for: --clean for clean=true, +preset=smoke for +preset/<command>=smoke.
+
+        The null of a group that is null by default is left out, Hydra refuses it.
+        """
+        keys = OmegaConf.load(self.conf / f"{self.name}.yaml")
+        defaults = {
+            f"{group}=null" for group, choice in default_choices(self.conf, self.name).items() if choice is None
+        }
+        expanded = []
+        for argument in arguments:
+            group, equals, choice = argument.lstrip("+").partition("=")
+            if argument.startswith("--") and keys.get(argument[2:]) is False:
+                expanded.append(f"{argument[2:]}=true")
+            elif equals and group in COMMAND_GROUPS and (self.conf / group / self.name).is_dir():
+                expanded.append(f"+{group}/{self.name}={choice}")
+            elif argument not in defaults:
+                expanded.append(argument)
+        return expanded
 
 
-def choices(name: str) -> dict[str, list[str]]:
-    """The configuration's groups and what each can be: the folders of `conf/` and the files in them."""
-    folders = sorted(path for path in CONF.iterdir() if path.is_dir() and path.name != "hydra")
-    return {folder.name: sorted(path.stem for path in folder.glob("*.yaml")) for folder in folders}
+def run(module: str, argv: Sequence[str] | None = None) -> None:
+    """Run a command with the arguments, those of the process by default.
 
-
-def wrong_choice(name: str, arguments: Sequence[str]) -> str | None:
-    """What is wrong with the first argument that asks for something its group does not have; None if none does."""
-    options_of = choices(name)
-    for argument in arguments:
-        group, _, wanted = argument.lstrip("+").partition("=")
-        options = options_of.get(group, [])
-        for choice in wanted.split(",") if options else []:
-            if choice not in (*options, "null") and "(" not in wanted:  # Hydra sees to glob(*) and its kin
-                return f"{group} = {choice} must be one of {', '.join(options)}"
-    return None
+    Invalid input, whether it is found here, by Hydra or by the command (`InputError`), ends in one line on standard
+    error and exit code 2. So do, with exit code 1, a disk that is full or may not be written to, and a training that
+    diverged. Anything else is a bug and keeps its traceback.
+    """
+    global _terminal
+    command = Command(module)
+    try:
+        arguments = command.expand(_load_plugins(sys.argv[1:] if argv is None else argv))
+        if {"--help", "-h"} & {*arguments}:
+            print(command.manual())
+            return
+        options = _parse_options(arguments)
+        # Hydra takes overrides in one block only
+        arguments = [argument for argument in arguments if argument not in options.overrides] + options.overrides
+        if not options.shell_completion:
+            if complaint := missing_extra(arguments):
+                raise InputError(complaint)
+            _register_plugins(arguments)
+            check_overrides(command.conf, command.name, options.overrides)
+    except InputError as error:
+        _fail(str(error), 2)
+    wants_trace = os.environ.get("HYDRA_FULL_ERROR") == "1"
+    arguments += also_search(command.conf)
+    held, _terminal, typed = io.StringIO(), sys.stderr, sys.argv
+    try:
+        # Hydra then raises what it would print over many lines; and says on standard error what failed
+        with redirect_stderr(held), env_override({"HYDRA_FULL_ERROR": "1"}):
+            sys.argv = [sys.argv[0], *arguments]
+            hydra.main(version_base="1.3", config_path=str(command.conf), config_name=command.name)(command)()
+    except Exception as error:
+        of_input = isinstance(error, InputError | HydraException | OmegaConfBaseException)
+        text, trouble = str(error) if isinstance(error, InputError) else describe(error), _trouble(error)
+        if options.multirun and not isinstance(error, HydraException) and not wants_trace:
+            _fail(f"a job failed: {text}; `airhockey runs` says what became of each", 2 if of_input else 1)
+        if trouble is not None:
+            _fail(trouble, 1)
+        if wants_trace or not of_input:
+            raise
+        _fail(text, 2)
+    except SystemExit as stop:
+        if isinstance(stop.code, str):  # a callback's, see `run_folder.RunRecorder`
+            _fail(stop.code, 2)
+        raise
+    finally:
+        sys.argv, _terminal = typed, None
+    sys.stderr.write(held.getvalue())
 
 
 @contextmanager
@@ -79,241 +210,95 @@ def report_input_errors() -> Iterator[None]:
         raise InputError(str(error)) from error
 
 
-def manual(name: str, doc: str) -> str:
-    """The text of `--help`: the command's docstring, the choices of each group, and its primary yaml as commented."""
-    launchers = sorted(path.stem for path in (CONF / "hydra" / "launcher").glob("*.yaml"))
-    options_of = choices(name) | {"hydra/launcher": ["basic", *launchers]}
-    groups = [f"  {group} = {' | '.join(options)}" for group, options in options_of.items()]
-    return "\n".join(
-        [
-            doc.strip(),
-            "",
-            "Every key below can be set on the command line: key=value, group=choice, +preset=smoke;",
-            "-m sweeps: key=1,2,3 or 'condition=glob(*)'. --cfg job prints the resolved configuration.",
-            "",
-            "Groups",
-            *groups,
-            "",
-            f"Keys (conf/{name}.yaml)",
-            (CONF / f"{name}.yaml").read_text(encoding="utf-8").rstrip(),
-            "",
-        ]
-    )
-
-
-def missing_extra(arguments: Sequence[str]) -> str | None:
-    """What to install for the launcher or sweeper that the arguments ask for; None if it is there."""
-    for argument in arguments:
-        module, extra = PLUGINS.get(argument.lstrip("+"), (None, ""))
-        if module is not None and not _is_there(module):
-            return f"{argument} needs what `pip install 'airhockey-haptics[{extra}]'` brings: there is no {module}"
-    return None
-
-
-class HeldBack:
-    """Standard error between a command's start and its task's: Hydra reports a wrong override over many lines.
-
-    A launcher sends a job to another process together with all that it refers to. There, nothing is held back.
-
-    Attributes:
-        held: what was written meanwhile.
-    """
-
-    def __init__(self) -> None:
-        self.held, self._terminal = io.StringIO(), None
-
-    def __reduce__(self) -> tuple[type, tuple]:
-        return type(self), ()
-
-    @contextmanager
-    def holding(self) -> Iterator[None]:
-        """Hold back what the block writes, but for what is `let_through`."""
-        self._terminal = sys.stderr
-        with redirect_stderr(self.held):
-            yield
-
-    @contextmanager
-    def let_through(self) -> Iterator[None]:
-        """Show what the block writes."""
-        with redirect_stderr(self._terminal or sys.stderr):
-            yield
-
-
-def command(name: str) -> Callable[[Callable[[DictConfig], float | None]], Callable[[], None]]:
-    """Turn a function of a configuration into a command configured by `conf/<name>.yaml`.
-
-    Wrong values, whether Hydra finds them or the function does (`InputError`), end in one line on standard error
-    and exit code 2. So do, with exit code 1, a disk that is full or may not be written to, and a training whose numbers
-    are none any more. Anything else is a bug and keeps its traceback.
-    """
-
-    def decorate(task: Callable[[DictConfig], float | None]) -> Callable[[], None]:
-        @functools.wraps(task)
-        def main() -> None:
-            if {"--help", "-h"} & set(sys.argv[1:]):
-                print(manual(name, sys.modules[task.__module__].__doc__ or ""))
-                return
-            if complaint := wrong_choice(name, sys.argv[1:]) or missing_extra(sys.argv[1:]):
-                _say_error(complaint)
-                sys.exit(2)
-            _register_plugins(sys.argv[1:])
-            errors = HeldBack()
-
-            def run(cfg: DictConfig) -> float | None:
-                with errors.let_through():
-                    try:
-                        _keep_own_keys(cfg, name)
-                        OmegaConf.to_container(cfg, resolve=True)  # finds a broken reference now
-                        missing = sorted(OmegaConf.missing_keys(cfg))
-                        if missing:
-                            raise InputError(f"{missing[0]} must be chosen: {missing[0]}=...")
-                        return task(cfg)
-                    except Exception as error:
-                        if HydraConfig.get().mode == RunMode.MULTIRUN:  # the other jobs go on: it is said here and now
-                            _say_failed(error)
-                        raise
-
-            wants_trace = os.environ.get("HYDRA_FULL_ERROR") == "1"
-            try:
-                # Hydra then raises what it would print over many lines
-                with errors.holding(), env_override({"HYDRA_FULL_ERROR": "1"}):
-                    hydra.main(version_base="1.3", config_path=str(CONF), config_name=name)(run)()
-            except Exception as error:
-                trouble = _trouble(error)
-                of_input = isinstance(error, InputError | HydraException | OmegaConfBaseException)
-                if {"-m", "--multirun"} & set(sys.argv) and not isinstance(error, HydraException) and not wants_trace:
-                    _say_error(f"a job failed: {error}; `airhockey runs` says what became of each")
-                    sys.exit(2 if of_input else 1)
-                if trouble is not None:
-                    _say_error(trouble)
-                    sys.exit(1)
-                if wants_trace or not of_input:
-                    raise
-                _say_error(f"{error} {error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else ''}")
-                sys.exit(2)
-            except SystemExit as stop:
-                if not stop.code:
-                    raise
-                _say_error(errors.held.getvalue())
-                sys.exit(2)
-            sys.stderr.write(errors.held.getvalue())
-
-        return main
-
-    return decorate
-
-
 def require_counts(cfg: DictConfig, *keys: str, least: int = 1) -> None:
-    """Refuse keys, dots for nesting, that are not whole numbers of at least `least`.
+    """Raise if a key, dots for nesting, is not an integer >= `least`.
 
     Raises:
         InputError: names the key, its value and what is allowed.
     """
-    for key in keys:
-        value = OmegaConf.select(cfg, key)
-        if not isinstance(value, int) or isinstance(value, bool) or value < least:
-            raise InputError(f"{key} = {value} must be a whole number of at least {least}")
+    with report_input_errors():
+        check_counts(least, **{key: OmegaConf.select(cfg, key) for key in keys})
 
 
 def require_numbers(
     cfg: DictConfig, *keys: str, above: float = 0.0, least: float | None = None, at_most: float = float("inf")
 ) -> None:
-    """Refuse keys, dots for nesting, that are not numbers above `above`, or from `least` on, and at most `at_most`.
+    """Raise if a key, dots for nesting, is not a number > `above`, or >= `least` where it is given, and <= `at_most`.
 
     Raises:
         InputError: names the key, its value and what is allowed.
     """
-    for key in keys:
-        value = OmegaConf.select(cfg, key)
-        number = isinstance(value, int | float) and not isinstance(value, bool)
-        if not number or value > at_most or not (value > above if least is None else value >= least):
-            lowest = f"above {above}" if least is None else f"of at least {least}"
-            highest = "" if at_most == float("inf") else f" and at most {at_most}"
-            raise InputError(f"{key} = {value} must be a number {lowest}{highest}")
-
-
-def resumed_config(run: Path, state: str, now: Mapping[str, Any] = MappingProxyType({})) -> DictConfig:
-    """The configuration of an earlier run, to go on with it.
-
-    Args:
-        state: the name of the file that it goes on from.
-        now: the command's own configuration, whose keys stand for those that the earlier run did not know yet.
-
-    Raises:
-        ValueError: it is not a run of this command that has come so far.
-    """
-    if not (run / state).is_file() or not (run / ".hydra" / "config.yaml").is_file():
-        raise ValueError(f"resume = {run} is not the folder of a run that can go on: it has no {state}")
-    file = run / ".hydra" / "config.yaml"
-    cfg = read_config(file)
-    if "resume" not in cfg:
-        raise ValueError(f"{file} is not the configuration of a run that can go on")
-    if HydraConfig.initialized():  # a preset's keys for other commands are in the file, too
-        own = _own_keys(HydraConfig.get().job.config_name)
-        for key in set(cfg) - own:
-            del cfg[key]
-    for key in set(now) - set(cfg):
-        cfg[key] = now[key]
-    cfg.resume = str(run)
-    return cfg
+    bounds = {"above": above} if least is None else {}
+    with report_input_errors():
+        least = -float("inf") if least is None else least
+        check_numbers(least, **bounds, at_most=at_most, **{key: OmegaConf.select(cfg, key) for key in keys})
 
 
 def require_device(cfg: DictConfig) -> None:
-    """Refuse a value of `compute` for which torch finds no device here.
+    """Raise if torch finds no device for the value of `compute` here.
 
     Raises:
         InputError: names it, and what there is.
     """
-    import torch  # not above: the commands that only read start without it
+    import torch  # not above: commands start without it
 
-    there = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
-    if cfg.compute not in there:
-        raise InputError(f"compute = {cfg.compute} must be one of {', '.join(there)}, which are what there is here")
-
-
-class ProgressBar:
-    """A progress bar on standard error for work that comes in phases; silent where there is no terminal."""
-
-    def __init__(self) -> None:
-        self._bar, self._phase = None, ""
-
-    def __call__(self, phase: str, share: float) -> None:
-        """Show that the share (0 to 1) of this phase is done."""
-        if phase != self._phase:
-            self.close()
-            self._phase, self._bar = phase, tqdm(total=100, desc=phase, unit="%", file=sys.stderr, disable=None)
-        self._bar.update(round(100 * share) - self._bar.n)
-
-    def close(self) -> None:
-        """Leave the last bar as it is."""
-        if self._bar is not None:
-            self._bar.close()
+    present = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+    if cfg.compute not in present:
+        raise InputError(f"compute = {cfg.compute} must be one of {', '.join(present)}, which are what there is here")
 
 
-def _keep_own_keys(cfg: DictConfig, name: str) -> None:
-    """Drop what a preset brings for other commands; refuse what was typed for this one and does not exist."""
-    own = _own_keys(name)
-    for override in HydraConfig.get().overrides.task:
-        key = override.lstrip("+~").split("=")[0].split(".")[0].split("@")[0]
-        if key not in own | {"preset", "sweep"}:
-            raise InputError(f"{override}: {key} is not a key of conf/{name}.yaml")
-    with open_dict(cfg):
-        for key in set(cfg) - own:
-            del cfg[key]
+def missing_extra(arguments: Sequence[str]) -> str | None:
+    """What to install for the launcher or sweeper that the arguments ask for; None if it is there."""
+    for argument in arguments:
+        key = argument.lstrip("+")
+        module, extra = PLUGINS.get("sweep" if key.startswith("sweep/") else key, (None, ""))
+        if module is not None and not _is_installed(module):
+            return f"{argument} needs what `pip install 'airhockey-haptics[{extra}]'` brings: there is no {module}"
+    return None
 
 
-def _own_keys(name: str) -> set[str]:
-    """The keys at the top of a command's configuration: its groups, and those of its yaml."""
-    return set(_defaults(name)) | set(OmegaConf.load(CONF / f"{name}.yaml"))
+def provide_numba_cache() -> None:
+    """Give numba a temporary folder for compiled code where no other can be written to: without one it raises.
+
+    matplotlib, which makes a folder of its own but says so in many words, is given the same.
+    """
+    user = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
+    if os.environ.get("NUMBA_CACHE_DIR") or _is_writable(PACKAGE) or _is_writable(Path(user)):
+        return
+    os.environ["NUMBA_CACHE_DIR"] = folder = tempfile.mkdtemp(prefix="airhockey-numba-")
+    os.environ.setdefault("MPLCONFIGDIR", folder)
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    print("note: compiled code is not kept, it will be compiled again: NUMBA_CACHE_DIR=... keeps it", file=sys.stderr)
 
 
-def _defaults(name: str) -> dict[str, str]:
-    """The groups of a command's configuration, and what each is if nothing else is asked for."""
-    entries = OmegaConf.load(CONF / f"{name}.yaml").get("defaults", [])
-    return {key: choice for entry in entries if isinstance(entry, DictConfig) for key, choice in entry.items()}
+def _is_writable(folder: Path) -> bool:
+    """Whether a folder can be written to, or made."""
+    existing = next((place for place in (folder, *folder.parents) if place.exists()), None)
+    return existing is not None and folder.is_absolute() and os.access(existing, os.W_OK | os.X_OK)
 
 
-def _is_there(module: str) -> bool:
+def _load_plugins(arguments: Sequence[str]) -> list[str]:
+    """Load the plug-ins that are installed or that arguments name, --plugin=module; the other arguments."""
+    named = [argument.partition("=")[2] for argument in arguments if argument.startswith("--plugin=")]
+    if named:
+        os.environ[ENVIRONMENT] = ",".join(filter(None, [os.environ.get(ENVIRONMENT), *named]))
+    with report_input_errors():
+        load_plugins()
+    return [argument for argument in arguments if not argument.startswith("--plugin=")]
+
+
+def _parse_options(arguments: Sequence[str]) -> Namespace:
+    """Hydra's own options, and the overrides."""
+    parser = get_args_parser()
+
+    def refuse(message: str) -> NoReturn:
+        raise InputError(f"{message}; --help says what can be typed")
+
+    parser.error = refuse
+    return parser.parse_intermixed_args(arguments)
+
+
+def _is_installed(module: str) -> bool:
     try:
         return find_spec(module) is not None
     except ModuleNotFoundError:  # not even the package that it would be in
@@ -327,7 +312,7 @@ def _register_plugins(arguments: Sequence[str]) -> None:
 
 
 def _trouble(error: Exception) -> str | None:
-    """What to say of an error that is neither the input's fault nor a bug: no numbers any more, or a full disk."""
+    """The text of an error that is neither the input's fault nor a bug: a diverged training, or a full disk."""
     if isinstance(error, FloatingPointError):
         return str(error)
     if isinstance(error, OSError) and (isinstance(error, WriteError) or error.errno in UNWRITABLE):
@@ -335,13 +320,19 @@ def _trouble(error: Exception) -> str | None:
     return None
 
 
-def _say_failed(error: Exception) -> None:
-    """Say which job of a sweep failed and why: wrong input in one line, a bug with its traceback."""
+def _print_failed(error: Exception) -> None:
+    """Print which job of a sweep failed and why: invalid input in one line, a bug with its traceback."""
     overrides = " ".join(HydraConfig.get().overrides.task)
     if not isinstance(error, InputError | OmegaConfBaseException) and _trouble(error) is None:
         traceback.print_exception(error)
-    _say_error(f"job {HydraConfig.get().job.num} ({overrides}): {error}")
+    print_error(f"job {HydraConfig.get().job.num} ({overrides}): {error}")
 
 
-def _say_error(text: str) -> None:
+def print_error(text: str) -> None:
+    """Print an error in one line on standard error."""
     print("error:", " ".join(text.split()), file=sys.stderr)
+
+
+def _fail(text: str, code: int) -> NoReturn:
+    print_error(text)
+    sys.exit(code)

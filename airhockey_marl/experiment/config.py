@@ -1,12 +1,22 @@
-"""The configurations that lie in run folders: anybody's, so that none may take more time or memory than it is long.
+"""Configurations: where they lie, what may be typed for them, and how those that lie in run folders are read.
 
-A few lines of yaml can mean a billion: aliases of lists of aliases, or `${references}` to texts of references, which
-are resolved one by one. What Hydra writes has no aliases and a handful of references.
+A run folder may be anybody's, so that no configuration may take more time or memory than it is long. A few lines of
+yaml can mean a billion: aliases of lists of aliases, or `${references}` to texts of references, which are resolved one
+by one. What Hydra writes has no aliases and a handful of references.
 """
 
+from collections.abc import Iterator, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 import yaml
+from hydra import compose, initialize_config_dir
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import ChoiceSweep, Glob, IntervalSweep, Override, QuotedString, RangeSweep
+from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import AliasEvent, CollectionStartEvent, NodeEvent, ScalarEvent, YAMLError
@@ -15,6 +25,208 @@ LARGEST = 100_000  # bytes; the largest that a command of ours writes has 7,000
 DEEPEST = 30  # lists and tables within each other; ours have 5
 MOST_REFERENCES = 16  # of all its texts; ours have 6. Each three of them can make it three times as much at most
 LONGEST = 1000  # characters of a text with references, to read which takes longer than its length
+
+ROOT = Path(__file__).resolve().parents[2]
+_INSTALLED = Path(__file__).resolve().parents[1] / "conf"  # in a source tree a link to ROOT / "conf"
+CONF = _INSTALLED.resolve() if _INSTALLED.is_dir() else ROOT / "conf"
+COMMAND_GROUPS = ("preset", "sweep")  # with a folder for each command, conf/preset/<command>/
+BASE = "base"  # in a group, what its options share
+KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}  # of simple values
+
+# ${project:path} in a yaml is a path beside the packages, in a source tree as where they are installed
+OmegaConf.register_new_resolver("project", lambda path: str(ROOT / path), replace=True)
+
+
+class InputError(ValueError):
+    """Something that the user can correct: reported in one line, exit code 2, no traceback."""
+
+
+def default_choices(conf: Path, name: str) -> dict[str, str | None]:
+    """The groups in the defaults list of conf/<name>.yaml, and the choice of each."""
+    entries = OmegaConf.load(conf / f"{name}.yaml").get("defaults", [])
+    choices = {key: choice for entry in entries if isinstance(entry, DictConfig) for key, choice in entry.items()}
+    return {group: choice for group, choice in choices.items() if not group.startswith(("hydra", "override "))}
+
+
+def group_options(conf: Path, name: str) -> dict[str, list[str]]:
+    """The groups of a command and the options of each, a plug-in's too; of `COMMAND_GROUPS` and the launchers as well."""
+    defaults, loader = default_choices(conf, name), GlobalHydra.instance().config_loader()
+    folders = {group: group for group in (*defaults, "hydra/launcher")}
+    folders |= {group: f"{group}/{name}" for group in COMMAND_GROUPS}
+    options = {
+        group: sorted(
+            {*loader.get_group_options(folder), *(file.stem for file in (CONF / folder).glob("*.yaml"))} - {BASE}
+        )
+        for group, folder in folders.items()
+    }
+    return {group: names for group, names in options.items() if names}
+
+
+def also_search(conf: Path) -> list[str]:
+    """The override by which a command of another package finds this project's groups beside its own."""
+    return [] if conf == CONF else [f"hydra.searchpath=['{CONF}']"]
+
+
+def check_overrides(conf: Path, name: str, arguments: Sequence[str]) -> None:
+    """Compare what is typed for conf/<name>.yaml with what it has: groups, their options, keys and types of values.
+
+    Raises:
+        InputError: names the first argument that is not valid, and what is.
+    """
+    overrides = [_parse(argument) for argument in arguments]
+    with initialize_config_dir(str(conf), version_base="1.3"):
+        loader, own = GlobalHydra.instance().config_loader(), group_options(conf, name)
+        chosen, keys = [], []
+        for override in overrides:
+            group = _short(override.key_or_group, name)
+            options = loader.get_group_options(group) if group.startswith("hydra/") else own.get(group)
+            if not options:
+                keys.append(override)
+                continue
+            choices = _choices(override, group, options)
+            if choices:
+                chosen.append(f"{override.input_line.partition('=')[0]}={choices[0]}")
+        try:
+            cfg = compose(name, overrides=[*chosen, *also_search(conf)], return_hydra_config=True)
+        except (HydraException, OmegaConfBaseException) as error:
+            raise InputError(describe(error)) from error
+    tree = OmegaConf.to_container(cfg)
+    for override in keys:
+        _check_key(override, tree, [*own])
+    given = {override.key_or_group for override in keys}
+    for key, value in _leaves({key: value for key, value in tree.items() if key != "hydra"}):
+        if value == "???" and not any(key == one or key.startswith(f"{one}.") for one in given):
+            raise InputError(f"{key} must be chosen: {key}=...")
+
+
+def _parse(argument: str) -> Override:
+    try:
+        override = OverridesParser.create().parse_override(argument)
+    except HydraException as error:
+        form = "key=value, with its brackets closed and special characters quoted: 'key=\"a b\"'"
+        raise InputError(f"{argument} must be {form}") from error
+    if not override.key_or_group:
+        raise InputError(f"{argument} must be key=value")
+    return override
+
+
+def _short(group: str, name: str) -> str:
+    """`preset` for `preset/<name>`, into which a command's own groups are expanded before Hydra sees them."""
+    head, _, tail = group.partition("/")
+    return head if head in COMMAND_GROUPS and tail in ("", name) else group
+
+
+def _elements(override: Override) -> list[Any]:
+    """The values that an override gives a key, one for each job of a sweep; only the ends of a range."""
+    value = override.value()
+    if isinstance(value, ChoiceSweep):
+        values = value.list
+    elif isinstance(value, RangeSweep):
+        values = [value.start]
+    else:
+        values = [] if isinstance(value, Glob | IntervalSweep) else [value]
+    return [element.text if isinstance(element, QuotedString) else element for element in values]
+
+
+def _choices(override: Override, group: str, options: list[str]) -> list[str]:
+    """The options that an override asks a group for; none for glob(*), to which Hydra sees."""
+    allowed = f"must be one of {', '.join(options)}"
+    if override.is_delete():
+        raise InputError(f"{override.input_line}: {group} cannot be left out, {allowed}")
+    choices = _elements(override)
+    for choice in choices:
+        nested = isinstance(choice, str) and "/" in choice and (CONF / group / f"{choice}.yaml").is_file()
+        if choice not in options and not nested:
+            raise InputError(f"{group} = {_shown(choice)} {allowed}")
+    return choices
+
+
+def _shown(value: Any) -> str:
+    """A value as it is typed."""
+    return "null" if value is None else str(value).lower() if isinstance(value, bool) else str(value)
+
+
+def _check_key(override: Override, tree: Mapping[str, Any], groups: Sequence[str]) -> None:
+    """Raise unless the key is in the tree of the command's configuration, and its value of the kind that is there."""
+    key, node, found = override.key_or_group, tree, []
+    parts = key.replace("[", ".").replace("]", "").split(".")
+    for depth, part in enumerate(parts):
+        siblings = node if isinstance(node, dict) else dict(enumerate(node)) if isinstance(node, list) else {}
+        part = int(part) if isinstance(node, list) and part.isdecimal() else part
+        if part not in siblings:
+            if depth and depth == len(parts) - 1 and override.is_add() and isinstance(node, dict):
+                return  # a new entry of a table
+            near = get_close_matches(str(part), [*map(str, siblings), *([] if found else groups)], 1)
+            near = (
+                [".".join([*found, *near])] if near else [k for k, _ in _leaves(tree) if k.split(".")[-1] == parts[-1]]
+            )
+            hint = f"; did you mean {near[0]}?" if near else "; --help lists those there are"
+            raise InputError(f"{override.input_line.lstrip('+~').replace('=', ' = ', 1)}: no such key{hint}")
+        node = siblings[part]
+        found.append(str(part))
+    if override.is_delete():
+        if len(parts) == 1:
+            raise InputError(f"{override.input_line}: {key} cannot be left out")
+        return
+    if parts[0] == "hydra" or node is None or (isinstance(node, str) and ("${" in node or node == "???")):
+        return
+    for value in _elements(override):
+        if not _fits(value, node):
+            raise InputError(f"{key} = {_shown(value)} must be {KINDS[type(node)]}")
+
+
+def _fits(value: Any, default: Any) -> bool:
+    """Whether a value is of the kind of a default, which anything is where that is a list or a table."""
+    if isinstance(value, str) and "${" in value:  # a reference
+        return True
+    if isinstance(default, str):
+        return value is None or isinstance(value, str)
+    if isinstance(default, float):
+        return isinstance(value, int | float) and not isinstance(value, bool)
+    return type(value) is type(default) or type(default) not in KINDS
+
+
+def _leaves(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
+    """Every key below a tree, with dots, and its value."""
+    for key, value in tree.items():
+        if isinstance(value, dict):
+            yield from _leaves(value, f"{above}{key}.")
+        else:
+            yield f"{above}{key}", value
+
+
+def describe(error: Exception) -> str:
+    """In one line what Hydra or OmegaConf refuse, without their advice for programmers."""
+    cause = error.__cause__ if isinstance(error.__cause__, OmegaConfBaseException) else None
+    inner = cause or error
+    key = getattr(inner, "full_key", None)
+    reason = (getattr(inner, "msg", None) or str(inner)).strip().splitlines()[0]
+    return f"{key}: {reason}" if key else reason
+
+
+def resumed_config(run: Path, state: str, now: Mapping[str, Any] = MappingProxyType({})) -> DictConfig:
+    """The configuration of an earlier run, to resume it.
+
+    Args:
+        state: the name of the file that it resumes from.
+        now: the command's own configuration: keys that it does not have are dropped, those that the earlier run did
+            not have yet are taken from it.
+
+    Raises:
+        ValueError: it is not a run of this command that has come so far.
+    """
+    file = run / ".hydra" / "config.yaml"
+    if not (run / state).is_file() or not file.is_file():
+        raise ValueError(f"resume = {run} is not the folder of a run that can go on: it has no {state}")
+    cfg = read_config(file)
+    if "resume" not in cfg:
+        raise ValueError(f"{file} is not the configuration of a run that can go on")
+    for key in set(cfg) - set(now) if now else ():
+        del cfg[key]
+    for key in set(now) - set(cfg):
+        cfg[key] = now[key]
+    cfg.resume = str(run)
+    return cfg
 
 
 def read_config(file: Path) -> DictConfig:

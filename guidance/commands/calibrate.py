@@ -15,54 +15,59 @@ into conf/: calibration never changes a study by itself.
 from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
-import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.command import (
-    InputError,
-    ProgressBar,
-    command,
-    report_input_errors,
-    require_counts,
-    require_numbers,
-)
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import write_text
+from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.experiment.registry import construct
-from airhockey_marl.league.league import League
-from airhockey_marl.players.inference import greedy_player
-from guidance.simulated_users import Population, SimulatedUsers, load_advisors, training_people
-from guidance.simulated_users.force_response import check_variant
-from guidance.study.calibration import (
-    lookahead_win_rate,
-    max_stable_stiffness,
-    predicted_std,
-    select_opponent,
-    target_lead,
-    threshold,
-)
-from guidance.study.games import Games, no_force, play_games
-from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states
-from guidance.study.provenance import load_models
 
 OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has the number of its condition
 
 
-@command("calibrate")
+def check(cfg: DictConfig) -> None:
+    """Raise for values that cannot be used.
+
+    Raises:
+        ValueError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "threads", "every")
+    require_counts(cfg, "games", least=2)  # UA from one, uncertainty in the others
+    require_counts(cfg, "seed", least=0)
+    require_numbers(cfg, "w_unc.optimal", "w_unc.user", "low_over_high", at_most=0.999)
+    require_numbers(cfg, "stability.rule.share", "stability.rule.of_people", at_most=1.0)
+    require_numbers(cfg, "stability.rule.step")
+    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
+    if not all(isinstance(seconds, float) and 0 <= seconds <= 1 for seconds in cfg.stability.lookaheads):
+        raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers from 0 to 1")
+
+
 def main(cfg: DictConfig) -> None:
+    """Calibrate, and write down the values and what they rest on."""
+    import numpy as np
+    import torch
+
+    from airhockey_marl.envs.physics import TableSpec
+    from airhockey_marl.league.league import League
+    from airhockey_marl.players.inference import greedy_player
+    from guidance.simulated_users import Population, SimulatedUsers, load_advisors, training_people
+    from guidance.simulated_users.force_response import check_variant
+    from guidance.study.calibration import (
+        lookahead_win_rate,
+        max_stable_stiffness,
+        predicted_std,
+        select_opponent,
+        target_lead,
+        threshold,
+    )
+    from guidance.study.games import Games, no_force, play_games
+    from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states
+    from guidance.study.provenance import load_models
+
     with report_input_errors():
-        require_counts(cfg, "threads", "every")
         check_variant(cfg.users.variant)
-        require_counts(cfg, "games", least=2)  # UA from one, uncertainty in the others
-        require_counts(cfg, "seed", least=0)
-        require_numbers(cfg, "w_unc.optimal", "w_unc.user", "low_over_high", at_most=0.999)
-        require_numbers(cfg, "stability.rule.share", "stability.rule.of_people", at_most=1.0)
-        require_numbers(cfg, "stability.rule.step")
-        require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
-        if not all(isinstance(seconds, float) and 0 <= seconds <= 1 for seconds in cfg.stability.lookaheads):
-            raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers from 0 to 1")
         people = training_people(cfg.seed, construct(Population, cfg.users.population, "users.population"))
         advisors = load_advisors(cfg.users.advisors)
         protocol = replace(construct(Protocol, cfg.study, "study"), familiarization=0)
@@ -127,7 +132,3 @@ def main(cfg: DictConfig) -> None:
     text = OmegaConf.to_yaml(OmegaConf.create(found))
     write_text(Path(HydraConfig.get().runtime.output_dir) / "calibration.yaml", text)
     print(text)
-
-
-if __name__ == "__main__":
-    main()

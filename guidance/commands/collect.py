@@ -14,37 +14,24 @@ Writes into its run folder:
 `guidance.user_model.dataset.load` reads the folder back. The same seed gives the same bytes in every file but the card.
 """
 
+from __future__ import annotations
+
 import time
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.command import InputError, ProgressBar, command, report_input_errors, require_counts
+from airhockey_marl.experiment.command import report_input_errors, require_counts
+from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import atomic_write, sha256, write_json
+from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.experiment.registry import construct
-from airhockey_marl.league.league import League
-from airhockey_marl.players.inference import greedy_player
-from guidance.simulated_users import Population, load_advisors, sample_people, training_people
-from guidance.simulated_users.force_response import check_variant
-from guidance.study import demonstrations
-from guidance.user_model.data import Demonstrations
-from guidance.user_model.dataset import (
-    ABOUT,
-    CARD,
-    COLUMNS,
-    FRAME,
-    PEOPLE,
-    ROWS,
-    TENSORS,
-    people_table,
-    summary,
-    write_rows,
-    write_tensors,
-)
+
+if TYPE_CHECKING:
+    from guidance.user_model.data import Demonstrations
 
 
 def check(cfg: DictConfig) -> None:
@@ -57,14 +44,32 @@ def check(cfg: DictConfig) -> None:
     require_counts(cfg, "seed", "opponent", least=0)
     if cfg.people not in ("training", "study"):
         raise InputError(f"people = {cfg.people} must be training or study")
-    check_variant(cfg.users.variant)
 
 
-@command("collect")
 def main(cfg: DictConfig) -> None:
+    """Have people play, and write the data set."""
+    import torch
+
+    from airhockey_marl.envs.physics import TableSpec
+    from airhockey_marl.league.league import League
+    from airhockey_marl.players.inference import greedy_player
+    from guidance.simulated_users import Population, load_advisors, sample_people, training_people
+    from guidance.simulated_users.force_response import check_variant
+    from guidance.study import demonstrations
+    from guidance.user_model.dataset import (
+        CARD,
+        PEOPLE,
+        ROWS,
+        TENSORS,
+        people_table,
+        summary,
+        write_rows,
+        write_tensors,
+    )
+
     folder, began = Path(HydraConfig.get().runtime.output_dir), time.perf_counter()
     with report_input_errors():
-        check(cfg)
+        check_variant(cfg.users.variant)
         league = League.load(cfg.models.opponents)
         if cfg.opponent >= len(league):
             raise InputError(f"opponent = {cfg.opponent} must be a generation of the league, 0 to {len(league) - 1}")
@@ -92,6 +97,9 @@ def main(cfg: DictConfig) -> None:
 
 def card(cfg: DictConfig, folder: Path, data: Demonstrations, users: list[dict], seconds: float) -> dict:
     """The data card: what the files hold, where they come from, how to open them."""
+    from airhockey_marl.envs.physics import TableSpec
+    from guidance.user_model.dataset import ABOUT, COLUMNS, FRAME, PEOPLE, ROWS, TENSORS
+
     files = [*sorted((folder / TENSORS).iterdir()), folder / ROWS, folder / PEOPLE]
     return {
         "data": ABOUT,
@@ -114,7 +122,3 @@ def card(cfg: DictConfig, folder: Path, data: Demonstrations, users: list[dict],
         "on_each_user": users,
         "config": OmegaConf.to_container(cfg),
     }
-
-
-if __name__ == "__main__":
-    main()

@@ -11,34 +11,25 @@ The games are those of `guidance.evaluate`, in the same order and under the same
 folder laid out as BIDS; finished games are never lost, see `guidance.sessions.bids`.
 """
 
+from __future__ import annotations
+
 import hashlib
 import json
 from contextlib import ExitStack, suppress
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import torch
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.command import InputError, command, report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.registry import construct
-from guidance.display.window import MIN_WIDTH, Window
-from guidance.haptics.clock import SimulatedClock, WallClock
-from guidance.haptics.open_device import DEVICES, device_session
-from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.screen import NullDisplay, Quit, quit_on_signals
-from guidance.haptics.seat import RealTimePlayer
-from guidance.sessions.bids import Records
-from guidance.sessions.json_files import load_json
-from guidance.sessions.lsl import open_streams
-from guidance.sessions.participant import Participant
-from guidance.sessions.session import NullEvents, Session, SessionPlan
-from guidance.sessions.simulated_participant import SimulatedParticipant
-from guidance.simulated_users import Population, sample_people
-from guidance.simulated_users.force_response import check_variant
-from guidance.study.models import Models
-from guidance.study.protocol import Protocol
-from guidance.study.provenance import file_hashes, load_conditions, load_models, load_opponent, manifest
+
+if TYPE_CHECKING:
+    from guidance.sessions.bids import Records
+    from guidance.sessions.participant import Participant
+    from guidance.sessions.session import SessionPlan
+    from guidance.study.models import Models
 
 KEYS = {
     "space": "pause",
@@ -58,21 +49,17 @@ def check(cfg: DictConfig) -> None:
         InputError: names the key, its value and what is allowed.
     """
     require_counts(cfg, "participants", "threads", "frames_per_second")
-    require_counts(cfg, "width", least=MIN_WIDTH)
     require_counts(cfg, "seed", least=0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "breath", least=0.0, at_most=10.0)
-    DEVICES.build(cfg.device, "device")
-    check_variant(cfg.users.variant)
-    for key in ("withdraw", "window", "fullscreen", "interview", "lsl"):
-        if not isinstance(cfg[key], bool):
-            raise InputError(f"{key} = {cfg[key]} must be true or false")
     if not cfg.window and cfg.device.kind != "simulated":
         raise InputError(f"window = false must be true for device = {cfg.device.kind}: somebody looks at it")
 
 
 def facts_of(cfg: DictConfig, models: Models, plan: SessionPlan) -> dict:
     """The manifest of the study; two with other devices, limits, questions or kinds of people are not the same one."""
+    from guidance.study.provenance import file_hashes, manifest
+
     facts = manifest(cfg, file_hashes(cfg, models), "", 0.0)
     who = "simulated" if cfg.device.kind == "simulated" else "people"
     how = [facts["study_hash"], OmegaConf.to_container(cfg.device), OmegaConf.to_container(cfg.safety), who]
@@ -89,6 +76,10 @@ def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
     Raises:
         ValueError: something in it is not valid, or a file is missing.
     """
+    from guidance.sessions.session import SessionPlan
+    from guidance.study.protocol import Protocol
+    from guidance.study.provenance import load_conditions, load_opponent
+
     consent = Path(cfg.consent)
     if not consent.is_file():
         raise ValueError(f"consent = {consent} must be a file with a text")
@@ -109,10 +100,29 @@ def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
     )
 
 
-@command("lab")
 def main(cfg: DictConfig) -> None:
+    """Hold a session with one person, or delete what there is of them."""
+    import torch
+
+    from airhockey_marl.envs.physics import TableSpec
+    from guidance.display.window import MIN_WIDTH, Window
+    from guidance.haptics.clock import SimulatedClock, WallClock
+    from guidance.haptics.open_device import DEVICES, device_session
+    from guidance.haptics.safety import SafetyLimits
+    from guidance.haptics.screen import NullDisplay, Quit, quit_on_signals
+    from guidance.haptics.seat import RealTimePlayer
+    from guidance.sessions.bids import Records
+    from guidance.sessions.lsl import open_streams
+    from guidance.sessions.session import NullEvents, Session
+    from guidance.sessions.simulated_participant import SimulatedParticipant
+    from guidance.simulated_users import Population, sample_people
+    from guidance.simulated_users.force_response import check_variant
+    from guidance.study.provenance import load_models
+
     with report_input_errors():
-        check(cfg)
+        require_counts(cfg, "width", least=MIN_WIDTH)
+        DEVICES.build(cfg.device, "device")
+        check_variant(cfg.users.variant)
     if cfg.withdraw:
         withdraw(Path(cfg.records), str(cfg.participant))
         return
@@ -165,6 +175,9 @@ def withdraw(folder: Path, label: str) -> None:
     Raises:
         InputError: there are no records, or nobody of this label.
     """
+    from guidance.sessions.bids import Records
+    from guidance.sessions.json_files import load_json
+
     with report_input_errors():
         if not (folder / "manifest.json").is_file():
             raise InputError(f"records = {folder} holds no study")
@@ -186,7 +199,3 @@ def enrolled(records: Records, cfg: DictConfig) -> Participant:
         participant = records.participant(label)
     print(f"participant {participant.label}, place {participant.place + 1} of {cfg.participants}")
     return participant
-
-
-if __name__ == "__main__":
-    main()

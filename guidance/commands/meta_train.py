@@ -9,46 +9,30 @@ Writes into its run folder: meta.safetensors, user.safetensors, card.json (what 
 they have not seen), tensorboard/, and after each epoch state.safetensors, from which `resume` goes on.
 """
 
+from __future__ import annotations
+
 import shutil
 import sys
 import time
 from functools import partial
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
-from torch import nn
-from tqdm import tqdm
 
-from airhockey_marl.algorithms.divergence import name_divergence
-from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.checkpoint import Checkpoint
-from airhockey_marl.experiment.command import (
-    InputError,
-    ProgressBar,
-    command,
-    report_input_errors,
-    require_counts,
-    require_device,
-    require_numbers,
-    resumed_config,
-)
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_device, require_numbers
+from airhockey_marl.experiment.config import InputError, resumed_config
 from airhockey_marl.experiment.files import sha256, write_json
+from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.experiment.registry import construct
-from airhockey_marl.experiment.run_folder import lock_run_folder
-from airhockey_marl.experiment.tensorboard import log_final_scores, log_run_header, open_writer, tensorboard_dir
-from airhockey_marl.players.networks import GaussianPolicy
-from guidance.simulated_users import Advisors, Population, load_advisors, sample_people, training_people
-from guidance.simulated_users.force_response import check_variant
-from guidance.study.demonstrations import collect_demonstrations
-from guidance.study.models import save_user_model
-from guidance.study.provenance import load_opponent
-from guidance.user_model.data import Demonstrations
-from guidance.user_model.evaluation import prediction_metrics, predictors
-from guidance.user_model.rounds import action_ahead
-from guidance.user_model.training import train_maml, train_supervised
+from airhockey_marl.experiment.run_folder import lock_run_folder, note_headline
+
+if TYPE_CHECKING:
+    from torch import nn
+
+    from guidance.simulated_users import Advisors, Population
+    from guidance.user_model.data import Demonstrations
 
 TAGS = {
     "maml/*": "per epoch: loss of Eq. 3 after adaptation (Eq. 2), and loss_before it",
@@ -76,7 +60,6 @@ def check(cfg: DictConfig) -> None:
     """
     require_counts(cfg, "threads", "maml.epochs", "maml.block", "supervised.epochs", "supervised.batch_size")
     require_counts(cfg, "seed", least=0)
-    require_device(cfg)
     require_counts(cfg, "demonstrations.games", least=2)  # one to adapt to and one to validate on
     require_counts(cfg, "demonstrations.ticks", least=cfg.maml.block)
     require_numbers(cfg, "ahead", least=0.0, at_most=1.0)
@@ -85,13 +68,20 @@ def check(cfg: DictConfig) -> None:
         raise InputError(f"maml.compiled = true needs a C++ compiler, one of {', '.join(COMPILERS)}, and finds none")
 
 
-@command("meta_train")
 def main(cfg: DictConfig) -> float:
     """Train both; for a sweeper, the loss of Eq. 3 after UA on people that the model has not seen."""
+    import torch
+
+    from airhockey_marl.players.networks import GaussianPolicy
+    from guidance.simulated_users import Population, load_advisors
+    from guidance.simulated_users.force_response import check_variant
+    from guidance.study.provenance import load_opponent
+
     with report_input_errors():
         if cfg.resume is not None:
             cfg = resumed_config(Path(cfg.resume), STATE, cfg)
         check(cfg)
+        require_device(cfg)
         check_variant(cfg.users.variant)
         population: Population = construct(Population, cfg.users.population, "users.population")
         advisors = load_advisors(cfg.users.advisors)
@@ -119,6 +109,17 @@ def run(
     Returns:
         The score by which they are judged.
     """
+    import numpy as np
+    import torch
+
+    from airhockey_marl.envs.physics import TableSpec
+    from airhockey_marl.experiment.tensorboard import log_final_scores
+    from guidance.simulated_users import sample_people, training_people
+    from guidance.study.demonstrations import collect_demonstrations
+    from guidance.study.models import save_user_model
+    from guidance.user_model.data import Demonstrations
+    from guidance.user_model.rounds import action_ahead
+
     progress = ProgressBar()
 
     def play(people: np.ndarray, seed: int, what: str) -> Demonstrations:
@@ -132,15 +133,16 @@ def run(
     seconds = train_both(cfg, folder, meta.to(cfg.compute), user.to(cfg.compute), data.to(cfg.compute))
     meta.cpu(), user.cpu()
     strangers = sample_people(len(data.action), HELD_OUT_SEED, population)
-    scores = prediction_scores(
-        meta, user, play(strangers, HELD_OUT_SEED, "nine others play"), cfg.maml.inner_lr, cfg.ahead
-    )
+    unseen = play(strangers, HELD_OUT_SEED, "nine others play")
+    with torch.no_grad():
+        scores = prediction_scores(meta, user, unseen, cfg.maml.inner_lr, cfg.ahead)
     progress.close()
     facts = {"seed": cfg.seed, "ahead_s": cfg.ahead}
     save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
     save_user_model(folder / "user.safetensors", user, facts)
     write_json(folder / "card.json", card(cfg, scores, seconds))
     log_final_scores(folder, cfg, scores)
+    note_headline(folder, f"loss after UA {scores[JUDGE]:.3g}, error {scores['after_ua_rmse']:.3g}")
     return scores[JUDGE]
 
 
@@ -152,6 +154,15 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
     Returns:
         The seconds it took, before it was resumed and after.
     """
+    import numpy as np
+    import torch
+    from tqdm import tqdm
+
+    from airhockey_marl.algorithms.divergence import name_divergence
+    from airhockey_marl.experiment.checkpoint import Checkpoint
+    from airhockey_marl.experiment.tensorboard import log_run_header, open_writer, tensorboard_dir
+    from guidance.user_model.training import train_maml, train_supervised
+
     models = {"maml": meta, "supervised": user}
     optimizers = {name: torch.optim.Adam(model.parameters(), cfg[name].lr) for name, model in models.items()}
     parts = {**models, **{f"{name}_optimizer": optimizer for name, optimizer in optimizers.items()}}
@@ -182,7 +193,6 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
     return seconds
 
 
-@torch.no_grad()
 def prediction_scores(
     meta: nn.Module, user: nn.Module, data: Demonstrations, inner_lr: float, ahead: float = 0.0
 ) -> dict[str, float]:
@@ -192,6 +202,11 @@ def prediction_scores(
         Per predictor, as in `prediction.predictors`, the loss of Eq. 3 and the root mean square error in units of
         action, averaged over people. `airhockey prediction_report` says more.
     """
+    import numpy as np
+
+    from airhockey_marl.envs.physics import TableSpec
+    from guidance.user_model.evaluation import judge, predictors
+
     found: dict[str, list[dict[str, float]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
         everybody = predictors(user, meta, inner_lr, observation[0], action[0], TableSpec(), ahead)
@@ -219,7 +234,3 @@ def card(cfg: DictConfig, scores: dict[str, float], seconds: float) -> dict:
         "on_nine_others": {name: round(value, 4) for name, value in scores.items()},
         "config": OmegaConf.to_container(cfg),
     }
-
-
-if __name__ == "__main__":
-    main()

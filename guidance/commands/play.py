@@ -11,26 +11,12 @@ folder: for every stretch of play under one condition a table with a row per tic
 
 from pathlib import Path
 
-import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.command import InputError, command, report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.registry import construct
-from airhockey_marl.league.league import League
-from guidance.display.window import MIN_WIDTH, Window
-from guidance.forces.conditions import ADAPTED, Condition
-from guidance.haptics.clock import WallClock
-from guidance.haptics.open_device import DEVICES, device_session
-from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.screen import quit_on_signals
-from guidance.haptics.seat import RealTimePlayer
-from guidance.sessions.free_play import FreePlay
-from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
-from guidance.simulated_users.force_response import check_variant
-from guidance.study.protocol import CALIBRATION_GAME, Protocol, RandomStream, spawn_rng_states
-from guidance.study.provenance import load_conditions, load_models
 
 KEYS = {  # those that choose a condition come before them
     "a": "make the user model yours, from what you have played without guidance",
@@ -44,16 +30,41 @@ KEYS = {  # those that choose a condition come before them
 }
 
 
-@command("play")
+def check(cfg: DictConfig) -> None:
+    """Raise for values that cannot be used.
+
+    Raises:
+        ValueError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "frames_per_second", "threads")
+    require_counts(cfg, "seed", least=0)
+    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
+    require_numbers(cfg, "breath", least=0.0, at_most=10.0)
+    if cfg.seconds is not None:
+        require_numbers(cfg, "seconds")
+
+
 def main(cfg: DictConfig) -> None:
+    """Open the window and the device, and play."""
+    import torch
+
+    from airhockey_marl.envs.physics import TableSpec
+    from airhockey_marl.league.league import League
+    from guidance.display.window import MIN_WIDTH, Window
+    from guidance.forces.conditions import ADAPTED, Condition
+    from guidance.haptics.clock import WallClock
+    from guidance.haptics.open_device import DEVICES, device_session
+    from guidance.haptics.safety import SafetyLimits
+    from guidance.haptics.screen import quit_on_signals
+    from guidance.haptics.seat import RealTimePlayer
+    from guidance.sessions.free_play import FreePlay
+    from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
+    from guidance.simulated_users.force_response import check_variant
+    from guidance.study.protocol import CALIBRATION_GAME, Protocol, RandomStream, spawn_rng_states
+    from guidance.study.provenance import load_conditions, load_models
+
     with report_input_errors():
-        require_counts(cfg, "frames_per_second", "threads")
         require_counts(cfg, "width", least=MIN_WIDTH)
-        require_counts(cfg, "seed", least=0)
-        require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
-        require_numbers(cfg, "breath", least=0.0, at_most=10.0)
-        if cfg.seconds is not None:
-            require_numbers(cfg, "seconds")
         protocol: Protocol = construct(Protocol, cfg.study, "study")
         device = DEVICES.build(cfg.device, "device")
         begin_with: Condition = load_conditions(cfg)[0]
@@ -92,7 +103,3 @@ def main(cfg: DictConfig) -> None:
     shown = play.summary()[["rounds", "win_rate", "mean_smash_speed", "defense_rate", "mean_disagreement"]]
     print(shown.to_string(float_format="%.2f", na_rep="–"))
     print(f"\nagain: airhockey watch run={folder}")
-
-
-if __name__ == "__main__":
-    main()

@@ -20,16 +20,11 @@ from omegaconf import DictConfig, OmegaConf
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.command import (
-    InputError,
-    ProgressBar,
-    command,
-    report_input_errors,
-    require_counts,
-    require_numbers,
-)
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import sha256, write_json, write_text
 from airhockey_marl.experiment.html import template
+from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.experiment.registry import construct
 from guidance.simulated_users import Population, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
@@ -73,17 +68,25 @@ def check(cfg: DictConfig) -> None:
     for name, least in (("ahead", 0.0), ("minutes", 0.01), ("steps", 1)):
         if not cfg[name] or not all(isinstance(value, int | float) and value >= least for value in cfg[name]):
             raise InputError(f"{name} = {list(cfg[name])} must be numbers of at least {least}")
+
+
+def check_amounts(cfg: DictConfig) -> None:
+    """Raise where there is not enough play for UA, or for the longest prediction.
+
+    Raises:
+        InputError: names the key, its value and what is allowed.
+    """
     most = (cfg.demonstrations.games - 1) * cfg.demonstrations.ticks * TableSpec().tick / 60
     if min(cfg.minutes) > most:
         raise InputError(f"minutes = {list(cfg.minutes)} must hold one of at most {most:.3g}, the play there is for UA")
     require_numbers(cfg, "demonstrations.ticks", above=2 * max(cfg.ahead) / TableSpec().tick)
-    check_variant(cfg.users.variant)
 
 
-@command("prediction_report")
 def main(cfg: DictConfig) -> None:
+    """Have people play, predict them, and write the report."""
     with report_input_errors():
-        check(cfg)
+        check_amounts(cfg)
+        check_variant(cfg.users.variant)
         population: Population = construct(Population, cfg.users.population, "users.population")
         advisors = load_advisors(cfg.users.advisors)
         models = load_models(cfg)
@@ -224,7 +227,3 @@ def write(folder: Path, found: Mapping, facts: Mapping) -> None:
     own = found["own"]["advantage"]
     print(f"\na person's own model errs by {own['mean']:.4f} [{own['low']:.4f}, {own['high']:.4f}] less than another's")
     print(f"report: {folder / 'prediction_report.html'}")
-
-
-if __name__ == "__main__":
-    main()

@@ -19,45 +19,34 @@ import time
 from importlib.util import find_spec
 from pathlib import Path
 
-import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.experiment.command import (
-    InputError,
-    ProgressBar,
-    command,
-    report_input_errors,
-    require_counts,
-    require_device,
-    require_numbers,
-    resumed_config,
-)
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_device, require_numbers
+from airhockey_marl.experiment.config import InputError, resumed_config
 from airhockey_marl.experiment.files import atomic_write, write_json
 from airhockey_marl.experiment.parallel import LOCAL_CLUSTER
-from airhockey_marl.experiment.run_folder import lock_run_folder
-from guidance.simulated_users.force_response import check_variant
-from guidance.statistics.replication_report import summarize
-from guidance.study.provenance import (
-    file_hashes,
-    frozen_study,
-    manifest,
-)
-from guidance.study.replication import (
-    STATE,
-    Studies,
-    batches_of,
-    on_ray,
-    one_by_one,
-)
+from airhockey_marl.experiment.progress import ProgressBar
+from airhockey_marl.experiment.run_folder import lock_run_folder, note_headline
 
 
-@command("replicate")
 def main(cfg: DictConfig) -> None:
+    """Play the studies that are missing, and write the report."""
+    import pandas as pd
+    import torch
+
+    from guidance.simulated_users.force_response import check_variant
+    from guidance.statistics.replication_report import summarize
+    from guidance.study.provenance import file_hashes, frozen_study, manifest
+    from guidance.study.replication import STATE, Studies, batches_of, on_ray, one_by_one
+
     with report_input_errors():
         if cfg.resume is not None:
             cfg = resumed_config(Path(cfg.resume), STATE, cfg)
         check(cfg)
+        require_device(cfg)
+        for variant in (cfg.users.variant, *cfg.sensitivity.variants):
+            check_variant(variant)
         studies = Studies(cfg)
     torch.set_num_threads(cfg.threads)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
@@ -78,6 +67,10 @@ def main(cfg: DictConfig) -> None:
         progress.close()
         write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
         print(summarize(folder, cfg, facts, studies.factors))
+        outcomes = pd.read_csv(folder / "studies.csv")
+        own = outcomes.loc[outcomes["group"] == "replicates", "replicated"]
+        others = len(outcomes) - len(own)
+        note_headline(folder, f"{own.mean():.1f} of 38 findings over {len(own)} studies, {others} others")
         print(f"\nreport: {folder / 'replicate.html'}")
 
 
@@ -88,7 +81,6 @@ def check(cfg: DictConfig) -> None:
         ValueError: names the key, its value and what is allowed.
     """
     require_counts(cfg, "together", "threads")
-    require_device(cfg)
     require_counts(cfg, "participants", least=3)  # fewer cannot be tested
     require_counts(cfg, "n", "seed", "controls", "sensitivity.points", least=0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
@@ -99,9 +91,3 @@ def check(cfg: DictConfig) -> None:
         raise InputError(f"ray = {cfg.ray} must be null, {LOCAL_CLUSTER}, auto or the address of a cluster, host:port")
     if cfg.ray is not None and find_spec("ray") is None:
         raise InputError(f"ray = {cfg.ray} needs what `pip install 'airhockey-haptics[ray]'` brings: there is no ray")
-    for variant in (cfg.users.variant, *cfg.sensitivity.variants):
-        check_variant(variant)
-
-
-if __name__ == "__main__":
-    main()

@@ -5,26 +5,28 @@ runs of a sweep over conditions) and writes tests.csv, figure6.png, figure6.svg 
 group stands beside it, such as simulated people beside people, with beside.png and beside.svg.
 """
 
+from __future__ import annotations
+
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.experiment.command import InputError, command, report_input_errors
-from guidance.statistics.groups import Group
-from guidance.statistics.paper import count_findings
-from guidance.statistics.report import screen_table, write_report
-from guidance.statistics.runs import gather
+from airhockey_marl.experiment.command import report_input_errors
+
+if TYPE_CHECKING:
+    from guidance.statistics.groups import Group
 
 
-@command("report")
 def main(cfg: DictConfig) -> None:
     """Gather the runs, write their report, and say on the screen where it is."""
+    from guidance.statistics.paper import count_findings
+    from guidance.statistics.report import screen_table, write_report
+    from guidance.statistics.runs import gather
+
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
     with report_input_errors():
-        if not isinstance(cfg.mixed, bool):
-            raise InputError(f"mixed = {cfg.mixed} must be true or false")
         group = gather(_places(cfg.runs), cfg.mixed)
         try:
             beside = None if cfg.beside is None else gather(_places(cfg.beside), cfg.mixed)
@@ -51,7 +53,3 @@ def _places(runs: Any) -> list[str]:
 
 def _files(group: Group) -> dict[str, str]:
     return group.manifest["trials_sha256"]
-
-
-if __name__ == "__main__":
-    main()

@@ -9,42 +9,31 @@ folder: speeds.png (speed profiles of reaches), push.png (how a hand gives way t
 playstyle keeps its paddle) and shots.png (how the puck leaves it).
 """
 
+from __future__ import annotations
+
+import math
 from collections.abc import Mapping
 from pathlib import Path
+from typing import TYPE_CHECKING
 
-import numpy as np
-import pandas as pd
-import torch
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
-from torch import Tensor
 
-from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.command import command, report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.files import atomic_write
 from airhockey_marl.experiment.registry import construct
-from airhockey_marl.players.players import Player
-from guidance.simulated_users import Advisors, Population, SimulatedUsers, load_advisors, sample_people
-from guidance.simulated_users.force_response import Variant, check_variant
-from guidance.simulated_users.validation.figures import draw_places, draw_push, draw_shots, draw_speeds
-from guidance.simulated_users.validation.motor_tasks import (
-    fitts_slopes,
-    mechanics,
-    push_response,
-    reaches,
-    reaction_times,
-    timing_errors,
-)
-from guidance.simulated_users.validation.playstyles import classify_styles, features, identification_rate
-from guidance.study.demonstrations import collect_demonstrations
-from guidance.study.games import no_force, play_games
-from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states
-from guidance.study.provenance import load_opponent
-from guidance.user_model.rounds import hand_speed
+
+if TYPE_CHECKING:
+    import numpy as np
+    import pandas as pd
+    from torch import Tensor
+
+    from airhockey_marl.players.players import Player
+    from guidance.simulated_users import Advisors, Population
 
 SKILLS = (-1.5, 0.0, 1.5)  # of the people whose rounds are counted, in SD of the usual population
-GAME, SKILL_TRIAL = Protocol(familiarization=0, rounds=14, extra_rounds=0, min_seconds=0, round_seconds=30), 3000
-ANYTHING = (-np.inf, np.inf)
+SKILL_TRIAL = 3000
+ANYTHING = (-math.inf, math.inf)
 # Each measure: its unit, what people show, and where that comes from. Without a source it is a demand of this project.
 MEASURES = {
     "simple visual reaction time": ("s", (0.200, 0.260), "Woods et al. 2015: 213 ms, n = 1469"),
@@ -61,13 +50,30 @@ MEASURES = {
 }
 
 
-@command("validate_users")
+def check(cfg: DictConfig) -> None:
+    """Raise for values that cannot be used.
+
+    Raises:
+        ValueError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "threads")
+    require_counts(cfg, "laboratory", "per_style", least=2)
+    require_counts(cfg, "seed", least=0)
+    require_numbers(cfg, "play_seconds", least=10.0)
+
+
 def main(cfg: DictConfig) -> None:
+    """Measure the people, print the table, and draw the figures."""
+    import torch
+
+    from airhockey_marl.envs.physics import TableSpec
+    from guidance.simulated_users import Population, load_advisors, sample_people
+    from guidance.simulated_users.force_response import Variant, check_variant
+    from guidance.simulated_users.validation.figures import draw_places, draw_push, draw_shots, draw_speeds
+    from guidance.simulated_users.validation.motor_tasks import push_response
+    from guidance.study.provenance import load_opponent
+
     with report_input_errors():
-        require_counts(cfg, "threads")
-        require_counts(cfg, "laboratory", "per_style", least=2)
-        require_counts(cfg, "seed", least=0)
-        require_numbers(cfg, "play_seconds", least=10.0)
         check_variant(cfg.users.variant)
         population: Population = construct(Population, cfg.users.population, "users.population")
         advisors = load_advisors(cfg.users.advisors)
@@ -95,17 +101,30 @@ def main(cfg: DictConfig) -> None:
 
 def as_table(found: Mapping[str, np.ndarray]) -> pd.DataFrame:
     """A row per measure: mean and SD over people, the human range, whether the mean is in it, and the source."""
+    import numpy as np
+    import pandas as pd
+
     rows = []
     for name, values in found.items():
         unit, (low, high), source = MEASURES[name]
         mean, sd = float(np.nanmean(values)), float(np.nanstd(values))
-        human = "" if low == -np.inf else f"{low:g} to {high:g}"
+        human = "" if low == -math.inf else f"{low:g} to {high:g}"
         rows.append([name, unit, mean, sd, human, "yes" if low <= mean <= high else "NO", source])
     return pd.DataFrame(rows, columns=["measure", "unit", "mean", "sd", "human", "within", "source"])
 
 
 def in_the_laboratory(people: np.ndarray, variant: str, seed: int):
     """The measures of the laboratory, a value per person each, and the reaches behind some of them."""
+    import numpy as np
+
+    from guidance.simulated_users.validation.motor_tasks import (
+        fitts_slopes,
+        mechanics,
+        reaches,
+        reaction_times,
+        timing_errors,
+    )
+
     data = reaches(people, seed=seed)
     _, damping, stiffness = mechanics(people, variant=variant, seed=seed).T
     return {
@@ -128,6 +147,14 @@ def at_the_table(
     seed: int,
 ) -> tuple[dict[str, np.ndarray], list[Tensor]]:
     """The measures of unguided play, and the play of each archetype (people, ticks, 12)."""
+    import numpy as np
+
+    from airhockey_marl.envs.physics import TableSpec
+    from guidance.simulated_users import sample_people
+    from guidance.simulated_users.validation.playstyles import features, recognized, told_apart
+    from guidance.study.demonstrations import collect_demonstrations
+    from guidance.user_model.rounds import hand_speed
+
     table = TableSpec()
     ticks, how = round(seconds / table.tick), (table, variant, advisors)
 
@@ -157,7 +184,13 @@ def by_skill(
     population: Population, number: int, opponent: Player, variant: str, advisors: Advisors, seed: int
 ) -> dict[str, np.ndarray]:
     """Rounds won and shots stopped by `number` people of each of `SKILLS`, a value per person each."""
+    from airhockey_marl.envs.physics import TableSpec
+    from guidance.simulated_users import SimulatedUsers, sample_people
+    from guidance.study.games import no_force, play_games
+    from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states
+
     table, won, stopped = TableSpec(), {}, {}
+    game = Protocol(familiarization=0, rounds=14, extra_rounds=0, min_seconds=0, round_seconds=30)
     for trial, skill in enumerate(SKILLS):
         people = sample_people(number, seed + 300, population.with_parameters(skill_mean=skill, skill_sd=0.0))
         minds, serves = (
@@ -165,11 +198,7 @@ def by_skill(
             for stream in (RandomStream.USER, RandomStream.TABLE)
         )
         users = SimulatedUsers(people, minds, table, variant, advisors)
-        results = play_games(users, opponent, no_force, GAME, table, serves).results
+        results = play_games(users, opponent, no_force, game, table, serves).results
         won[f"rounds won, skill {skill:+.1f}"] = results["win_rate"]
         stopped[f"shots stopped, skill {skill:+.1f}"] = results["defense_rate"]
     return {**won, **stopped}
-
-
-if __name__ == "__main__":
-    main()

@@ -22,16 +22,10 @@ from omegaconf import DictConfig
 from tensordict import TensorDict
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.command import (
-    InputError,
-    ProgressBar,
-    choices,
-    command,
-    report_input_errors,
-    require_counts,
-    require_numbers,
-)
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import atomic_write
+from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.experiment.registry import construct
 from guidance.display.film import MIN_WIDTH, FilmInfo, draw_sheet, save_film
 from guidance.forces.conditions import ADAPTED
@@ -48,10 +42,24 @@ LONGEST = 60  # s: all pictures of a film are in memory together
 MOST_SKILL = 4.0  # standard deviations
 
 
-@command("watch")
+def check(cfg: DictConfig) -> None:
+    """Raise for values that cannot be used.
+
+    Raises:
+        ValueError: names the key, its value and what is allowed.
+    """
+    require_counts(cfg, "threads", "frames_per_second")
+    require_counts(cfg, "seed", least=0)
+    require_numbers(cfg, "seconds", at_most=LONGEST)
+    require_numbers(cfg, "start", least=0.0)
+    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
+
+
 def main(cfg: DictConfig) -> None:
+    """Film the game, and print how it ended."""
     with report_input_errors():
-        check(cfg, round(1 / TableSpec().tick))
+        check_film(cfg, round(1 / TableSpec().tick))
+        check_variant(cfg.users.variant)
         again = None if cfg.run is None else load_recorded_part(Path(cfg.run), cfg.game, cfg.start, cfg.seconds)
     torch.set_num_threads(cfg.threads)
     progress = ProgressBar()
@@ -104,24 +112,16 @@ def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dic
     return ticks, scene_facts(condition, player, f"generation {cfg.opponent}", adapted is not None)
 
 
-def check(cfg: DictConfig, ticks_per_second: int) -> None:
-    """Refuse what cannot be played or shown.
+def check_film(cfg: DictConfig, ticks_per_second: int) -> None:
+    """Raise for a film that cannot be drawn.
 
     Raises:
         InputError: names the key, its value and what is allowed.
     """
-    require_counts(cfg, "threads", "frames_per_second")
-    require_counts(cfg, "seed", least=0)
     require_counts(cfg, "width", least=MIN_WIDTH)
-    require_numbers(cfg, "seconds", at_most=LONGEST)
-    require_numbers(cfg, "start", least=0.0)
-    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     if ticks_per_second % cfg.frames_per_second:
         raise InputError(f"frames_per_second = {cfg.frames_per_second} must divide {ticks_per_second}")
     require_numbers(cfg, "speed", at_most=ticks_per_second / cfg.frames_per_second)
-    if cfg.get("condition") is None:
-        raise InputError(f"condition = null must be one of {', '.join(choices('watch')['condition'])}")
-    check_variant(cfg.users.variant)
 
 
 def selected_person(cfg: DictConfig) -> np.ndarray:
@@ -165,7 +165,3 @@ def play(
         if scored[0]:
             runner.new_rounds(scored)
     return pd.DataFrame(log.rows)
-
-
-if __name__ == "__main__":
-    main()

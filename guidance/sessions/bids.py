@@ -189,6 +189,8 @@ class Records:
         if self._active is not None:
             self._active.close()
         if self._lock is not None:
+            self._lock.release()
+            self._lock = None
 
     def __enter__(self) -> "Records":
         return self

@@ -9,7 +9,7 @@ from airhockey_marl.experiment.files import load_tensors
 from tests.airhockey_marl.commands.test_cli import pictures, scalars
 from tests.robustness.kill_and_resume import kill_and_resume
 
-TRAIN = ["airhockey_marl.train", "state.safetensors", "+preset=smoke", "steps_per_generation=500"]
+TRAIN = ["airhockey_marl.commands.train", "state.safetensors", "+preset=smoke", "steps_per_generation=500"]
 META = ["guidance.commands.meta_train", "state.safetensors", "+preset=smoke", "demonstrations.ticks=400"]
 REPLICATE = ["guidance.commands.replicate", "manifest.json", "+preset=smoke", "sensitivity.points=0", "together=1"]
 CASES = {

@@ -161,14 +161,14 @@ def test_diverged_user_models_keep_their_last_weights(training, spoil):
 
 
 def test_diverged_meta_training_ends_in_one_line(tmp_path, monkeypatch, capsys):
-    whole = meta_train.train_maml
+    whole = train_maml
 
     def spoiled(*arguments, **options):
         for metrics in whole(*arguments, **options):
             yield metrics
             raise FloatingPointError("loss: nan, gradient nan in epoch 2, must be finite")
 
-    monkeypatch.setattr(meta_train, "train_maml", spoiled)
+    monkeypatch.setattr("guidance.user_model.training.train_maml", spoiled)
     monkeypatch.setattr(sys, "argv", ["meta_train", "+preset=smoke", f"hydra.run.dir={tmp_path}/run"])
     with pytest.raises(SystemExit) as stopped:
         start_command(meta_train.__name__)

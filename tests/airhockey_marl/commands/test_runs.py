@@ -10,7 +10,16 @@ import time
 import pytest
 
 from airhockey_marl.commands import runs
-from airhockey_marl.experiment.run_folder import RECORD, RunRecord, files_at_risk, process_start, read_run, runs_below
+from airhockey_marl.experiment.command import run as start_command
+from airhockey_marl.experiment.run_folder import (
+    RECORD,
+    RunRecord,
+    files_at_risk,
+    note_headline,
+    process_start,
+    read_run,
+    runs_below,
+)
 from tests.airhockey_marl.commands.test_cli import kill_at_the_first_checkpoint
 from tests.processes import start
 

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from airhockey_marl.commands import sweep_table as grid
+from airhockey_marl.experiment.command import run as start_command
 
 
 def card(hidden: list[int], seed: int, error: float) -> dict:
@@ -27,7 +28,7 @@ def sweep(tmp_path):
 
 def run(monkeypatch, *arguments: str) -> None:
     monkeypatch.setattr(sys, "argv", ["grid", *arguments])
-    grid.main()
+    start_command(grid.__name__)
 
 
 def test_what_was_varied_stands_beside_what_came_of_it(sweep):

@@ -9,8 +9,8 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from airhockey_marl.commands.compare import main
 from airhockey_marl.evaluation import comparison as compare
+from airhockey_marl.experiment.command import run as start_command
 from airhockey_marl.experiment.files import find_files, save_tensors
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
@@ -49,7 +49,7 @@ def sweep(tmp_path) -> Path:
 
 def run_command(monkeypatch, tmp_path: Path, *arguments: str) -> None:
     monkeypatch.setattr(sys, "argv", ["compare", f"hydra.run.dir={tmp_path}/run", "rounds=4", *arguments])
-    main()
+    start_command("airhockey_marl.commands.compare")
 
 
 def complaint(monkeypatch, capsys, tmp_path: Path, *arguments: str) -> str:

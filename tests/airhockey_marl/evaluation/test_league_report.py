@@ -29,6 +29,7 @@ from airhockey_marl.evaluation.league_metrics import (
 from airhockey_marl.evaluation.league_report import draw_figures, log_to_tensorboard, page, summary, write_report
 from airhockey_marl.evaluation.matches import MatchResult
 from airhockey_marl.evaluation.ratings import MATCH_COLUMNS, GoodnessOfFit, Proportion, RatingDifference
+from airhockey_marl.experiment.command import run as start_command
 from airhockey_marl.experiment.files import save_tensors, write_json
 from airhockey_marl.league.league import League
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
@@ -299,7 +300,7 @@ def test_the_command_reports_a_run(monkeypatch, capsys, league, tmp_path):
     run, out = ship(tmp_path / "run", league, config={"env": {"frame_skip": 2}}), tmp_path / "out"
     matches().to_csv(run / "matches.csv", index=False)
     monkeypatch.setattr(sys, "argv", ["league_report", f"run={run}", f"hydra.run.dir={out}", *TINY])
-    league_report.main()
+    start_command(league_report.__name__)
     assert {*FILES, "matches.png"} <= {path.name for path in out.iterdir()}
     assert list(out.glob("tensorboard/events*"))
     shown = capsys.readouterr().out
@@ -311,7 +312,7 @@ def complaint(monkeypatch, capsys, tmp_path, *arguments: str) -> str:
     """What the command says when it refuses: one line, no traceback, and nothing is written."""
     monkeypatch.setattr(sys, "argv", ["league_report", f"hydra.run.dir={tmp_path}/refused", *arguments])
     with pytest.raises(SystemExit) as stopped:
-        league_report.main()
+        start_command(league_report.__name__)
     said = capsys.readouterr().err
     assert stopped.value.code == 2 and said.count("\n") == 1 and said.startswith("error: ") and len(said) < 300
     assert not list((tmp_path / "refused").rglob("*.html"))
@@ -324,7 +325,7 @@ def complaint(monkeypatch, capsys, tmp_path, *arguments: str) -> str:
         ("run=nowhere", "no such file: nowhere/league.safetensors"),
         ("rounds=0", "rounds = 0 must be a whole number of at least 1"),
         ("every=2.5", "every = 2.5 must be a whole number"),
-        ("std_seconds=-1", "std_seconds = -1 must be a number above 0"),
+        ("std_seconds=-1", "std_seconds = -1 must be a finite number above 0"),
         ("seed=-1", "seed = -1"),
         ("generation=3", "generation"),
     ],

@@ -80,10 +80,10 @@ def test_a_ray_cluster_runs_them(one_after_another, tmp_path, monkeypatch):
 def test_what_a_sweep_left_is_merged_where_it_is_of_one_study(tmp_path):
     done = sweep(tmp_path / "s", "users=default,novice", "seed=range(1,3)", "hydra/launcher=cores")
     assert done.returncode == 0, done.stderr
-    refused = start("guidance.commands.report", f"runs={tmp_path}/s", f"hydra.run.dir={tmp_path}/r")
+    refused = start("guidance", "report", f"runs={tmp_path}/s", f"hydra.run.dir={tmp_path}/r")
     assert refused.returncode == 2 and "are of different studies and cannot be merged" in refused.stderr
     assert gather([tmp_path / "s" / job for job in ("0", "1", "4", "5")]).size == 8  # default, seeds 1 and 2
-    merged = start("guidance.commands.report", f"runs={tmp_path}/s", "mixed=true", f"hydra.run.dir={tmp_path}/r")
+    merged = start("guidance", "report", f"runs={tmp_path}/s", "mixed=true", f"hydra.run.dir={tmp_path}/r")
     assert merged.returncode == 0, merged.stderr
     assert gather([tmp_path / "s"], mixed=True).size == 16
 

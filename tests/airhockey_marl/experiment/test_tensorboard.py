@@ -50,8 +50,8 @@ def runs(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     smoke("airhockey_marl.train", f"hydra.run.dir={folder}/train")
     report = ["exploit_generations=0", f"run={folder}/train", f"hydra.run.dir={folder}/league_report"]
-    smoke("airhockey_marl.commands.league_report", *report)
-    smoke("guidance.commands.meta_train", "seed=4", f"hydra.run.dir={folder}/meta_train")
+    smoke("airhockey_marl", "league_report", *report)
+    smoke("guidance", "meta_train", "seed=4", f"hydra.run.dir={folder}/meta_train")
     smoke("guidance.evaluate", "seed=3", f"hydra.run.dir={folder}/evaluate")
     return folder
 

@@ -16,6 +16,7 @@ from tensordict import NonTensorData, TensorDict
 from airhockey_marl.envs.physics import PUCK, VX, VY, TableSpec, X, Y
 from airhockey_marl.envs.world import World
 from airhockey_marl.experiment.command import CONF
+from airhockey_marl.experiment.command import run as start_command
 from airhockey_marl.experiment.files import sha256
 from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League
@@ -24,6 +25,7 @@ from guidance.commands import collect
 from guidance.simulated_users import Population, load_advisors, sample_people, training_people
 from guidance.study import demonstrations, games
 from guidance.user_model import dataset
+from guidance.user_model.data import Demonstrations
 
 GAMES, TICKS = 2, 300
 ADVISORS = load_advisors(CONF.parent / "guidance/pretrained/advisors.safetensors")
@@ -36,7 +38,7 @@ def run(folder: Path, *arguments: str) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         sizes = [f"demonstrations.games={GAMES}", f"demonstrations.ticks={TICKS}"]
         patch.setattr(sys, "argv", ["collect", *sizes, f"hydra.run.dir={folder}", *arguments])
-        collect.main()
+        start_command(collect.__name__)
     return folder
 
 
@@ -44,7 +46,7 @@ def population() -> Population:
     return construct(Population, OmegaConf.load(CONF / "users" / "default.yaml").population, "users.population")
 
 
-def play(people: np.ndarray, seed: int, ticks: int = TICKS) -> collect.Demonstrations:
+def play(people: np.ndarray, seed: int, ticks: int = TICKS) -> Demonstrations:
     """What the command should have collected."""
     opponent = greedy_player(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(55))
     return demonstrations.collect_demonstrations(
@@ -58,7 +60,7 @@ def folder(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def wanted() -> collect.Demonstrations:
+def wanted() -> Demonstrations:
     return play(training_people(3, population()), 3)
 
 
@@ -222,14 +224,14 @@ def test_loaded_demonstrations_are_a_copy(folder, wanted):
         ("people=everyone", "people = everyone must be training or study"),
         ("participants=0", "participants = 0 must be a whole number of at least 1"),
         ("demonstrations.games=0", "demonstrations.games = 0 must be a whole number of at least 1"),
-        ("demonstrations.ticks=2.5", "demonstrations.ticks = 2.5 must be a whole number of at least 1"),
+        ("demonstrations.ticks=2.5", "demonstrations.ticks = 2.5 must be a whole number"),
         ("opponent=1000", "opponent = 1000 must be a generation of the league, 0 to 100"),
         ("opponent=-1", "opponent = -1 must be a whole number of at least 0"),
         ("models.opponents=nowhere", "no such file: nowhere"),
         ("users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist, goal_sharing"),
         ("users=nobody", "users = nobody must be one of default"),
         ("seed=-1", "seed = -1 must be a whole number of at least 0"),
-        ("+guests=3", "guests is not a key of conf/collect.yaml"),
+        ("+guests=3", "guests = 3: no such key; --help lists those there are"),
     ],
 )
 def test_wrong_values_end_in_one_line_before_any_play(monkeypatch, capsys, tmp_path, argument, message):
@@ -256,6 +258,6 @@ def test_data_are_never_replaced(folder, tmp_path, capsys):
 
 def test_help_is_the_manual(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["collect", "--help"])
-    collect.main()
+    start_command(collect.__name__)
     text = capsys.readouterr().out
     assert (CONF / "collect.yaml").read_text().strip() in text and "airhockey collect" in text

@@ -15,6 +15,7 @@ from hydra import compose, initialize_config_dir
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import CONF
+from airhockey_marl.experiment.command import run as start_command
 from airhockey_marl.league.league import League
 from guidance.commands import play, watch
 from guidance.haptics.clock import SimulatedClock
@@ -160,7 +161,7 @@ def test_what_was_played_is_shown_again(shipped, tmp_path, monkeypatch):
         ("file", [f"run={tmp_path}/play/task-airhockey_acq-01nhg_beh.tsv"], "NHG"),
     ):
         monkeypatch.setattr(sys, "argv", ["watch", "seconds=1", f"hydra.run.dir={tmp_path}/{name}", *arguments])
-        watch.main()
+        start_command(watch.__name__)
         ticks = pd.read_csv(tmp_path / name / "watch.csv")
         assert len(ticks) == 50 and (tmp_path / name / "watch.gif").stat().st_size > 10_000
         assert (ticks["force_x"].abs().sum() > 0) == label.startswith("OAHG")
@@ -173,7 +174,7 @@ def test_what_was_played_is_shown_again(shipped, tmp_path, monkeypatch):
         (["run={folder}/play", "game=07nhg"], "game = 07nhg must be one of 01nhg"),
         (["run={folder}/play", "start=50"], "start = 50"),
         (["run={folder}/nowhere"], "nowhere"),
-        (["run={folder}/play", "start=-1"], "start = -1 must be a number of at least 0"),
+        (["run={folder}/play", "start=-1"], "start = -1 must be a finite number of at least 0"),
     ],
 )
 def test_what_was_not_played_is_refused(shipped, tmp_path, monkeypatch, capsys, arguments, message):
@@ -181,13 +182,13 @@ def test_what_was_not_played_is_refused(shipped, tmp_path, monkeypatch, capsys, 
     arguments = [argument.format(folder=tmp_path) for argument in arguments]
     monkeypatch.setattr(sys, "argv", ["watch", f"hydra.run.dir={tmp_path}/run", *arguments])
     with pytest.raises(SystemExit) as stopped:
-        watch.main()
+        start_command(watch.__name__)
     shown = capsys.readouterr().err
     assert stopped.value.code == 2 and shown.count("\n") == 1 and message in shown
 
 
 def test_the_command_plays_in_real_time_and_says_how_it_went(tmp_path):
-    done = start("guidance.commands.play", "device=simulated", "seconds=2", "breath=0", f"hydra.run.dir={tmp_path}")
+    done = start("guidance", "play", "device=simulated", "seconds=2", "breath=0", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     (game,) = load_games(tmp_path).values()
     assert len(game.ticks()) == 100
@@ -197,7 +198,7 @@ def test_the_command_plays_in_real_time_and_says_how_it_went(tmp_path):
 
 
 def test_who_is_told_to_end_ends_well(tmp_path):
-    command = Command("guidance.commands.play", "device=simulated", "seconds=600", f"hydra.run.dir={tmp_path}")
+    command = Command("guidance", "play", "device=simulated", "seconds=600", f"hydra.run.dir={tmp_path}")
     while not list(tmp_path.glob("*_beh.tsv")) and command.poll() is None:
         time.sleep(0.01)
     time.sleep(0.5)
@@ -213,11 +214,11 @@ def test_who_is_told_to_end_ends_well(tmp_path):
     [
         ("device=cuda", "device = cuda must be one of forcedimension, gamepad, mouse, simulated"),
         ("device=joystick", "device = joystick must be one of forcedimension, gamepad, mouse, simulated"),
-        ("device.max_speed=0", "device.max_speed = 0 must be a number above 0"),
+        ("device.max_speed=0", "device.max_speed = 0 must be a finite number above 0"),
         ("device=gamepad", "device: gamepad = 0 must be the index of a connected gamepad, of which there are 0"),
         ("condition=uphg_ua", "condition = uphg_ua needs a model of you"),
         ("opponent=1000", "generation = 1000"),
-        ("seconds=0", "seconds = 0 must be a number above 0"),
+        ("seconds=0", "seconds = 0 must be a finite number above 0"),
         ("width=100", "width = 100 must be a whole number of at least 800"),
         ("safety.force=-1", "safety.force = -1"),
         ("models.meta=nowhere", "no such file: nowhere"),
@@ -227,6 +228,6 @@ def test_wrong_values_end_in_one_line(monkeypatch, capsys, tmp_path, argument, m
     monkeypatch.setattr(sys, "argv", ["play", f"hydra.run.dir={tmp_path}", argument])
     monkeypatch.setattr(FreePlay, "run", None)
     with pytest.raises(SystemExit) as stopped:
-        play.main()
+        start_command(play.__name__)
     shown = capsys.readouterr().err
     assert stopped.value.code == 2 and shown.count("\n") == 1 and message in shown, shown

@@ -340,7 +340,7 @@ def test_merge_refuses_nothing(tmp_path):
 
 def report_command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess:
     """Start the command as from a shell in `cwd`, away from the source tree."""
-    return start("guidance.commands.report", *arguments, cwd=cwd, env={"AIRHOCKEY_OUTPUTS": str(cwd / "outputs")})
+    return start("guidance", "report", *arguments, cwd=cwd, env={"AIRHOCKEY_OUTPUTS": str(cwd / "outputs")})
 
 
 def test_command_merges_and_reports(sweep, tmp_path):

@@ -8,7 +8,7 @@ import torch
 from omegaconf import OmegaConf
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.command import InputError
+from airhockey_marl.experiment.command import InputError, run
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.commands import calibrate
 from guidance.forces.equations import uncertainty_weight
@@ -69,7 +69,7 @@ def test_the_lead_of_a_model_that_extrapolates_is_its_look_ahead():
 def test_the_command_writes_what_it_found_and_what_it_rests_on(monkeypatch, tmp_path, capsys):
     short = ["study.rounds=2", "study.extra_rounds=0", "study.min_seconds=0", "study.round_seconds=12", "games=2"]
     monkeypatch.setattr(sys, "argv", ["calibrate", "opponent=80", *short, f"hydra.run.dir={tmp_path}"])
-    calibrate.main()
+    run(calibrate.__name__)
     found = OmegaConf.load(tmp_path / "calibration.yaml")
     assert found.opponent == 80 and 0 <= found.evidence.opponents[80].win_rate <= 1
     assert found.thresholds.optimal.mean_w_unc == pytest.approx(0.6, abs=0.01)

@@ -5,6 +5,7 @@ import pandas as pd
 import pytest
 from scipy import stats as scipy_stats
 
+from airhockey_marl.experiment.command import run as start_command
 from guidance.commands import replicate
 from guidance.statistics.figures import robustness_map
 from guidance.statistics.robustness import (
@@ -79,7 +80,7 @@ def test_the_map_has_a_cell_per_finding_and_group(outcomes):
     assert len(effects.lines[1].get_xdata()) == 38
 
 
-FEW = ["guidance.commands.replicate", "study.rounds=1", "sensitivity.variants=[passive,goal_sharing]"]
+FEW = ["guidance", "replicate", "study.rounds=1", "sensitivity.variants=[passive,goal_sharing]"]
 
 
 def test_a_killed_run_ends_like_one_never_killed(tmp_path):
@@ -92,7 +93,7 @@ def test_a_killed_run_ends_like_one_never_killed(tmp_path):
     expected = {name: (tmp_path / "whole" / name).read_bytes() for name in (*RESULTS, "robustness.svg")}
     for name in (*RESULTS, "batches/goal_sharing-0003.csv", "batches/replicates-0002.csv", "replicate.html"):
         (tmp_path / "whole" / name).unlink()
-    done = start("guidance.commands.replicate", f"resume={tmp_path}/whole", f"hydra.run.dir={tmp_path}/again")
+    done = start("guidance", "replicate", f"resume={tmp_path}/whole", f"hydra.run.dir={tmp_path}/again")
     assert done.returncode == 0, done.stderr
     assert expected == {name: (tmp_path / "whole" / name).read_bytes() for name in expected}
     page = (tmp_path / "whole" / "replicate.html").read_text(encoding="utf-8")
@@ -112,7 +113,7 @@ def test_a_ray_cluster_gives_the_same_bits(tmp_path, monkeypatch):
     monkeypatch.setenv("RAY_AUTH_MODE", "disabled")  # or Ray writes a token into the home folder
     few = ["sensitivity.points=0", "together=2"]
     for name, more in (("here", []), ("there", ["ray=local"])):
-        smoke("guidance.commands.replicate", *few, *more, f"hydra.run.dir={tmp_path}/{name}")
+        smoke("guidance", "replicate", *few, *more, f"hydra.run.dir={tmp_path}/{name}")
     written = [file.relative_to(tmp_path / "here") for file in (tmp_path / "here").glob("**/*.csv")]
     assert len(written) == 4 + len(RESULTS)
     for file in written:
@@ -123,7 +124,7 @@ def test_a_ray_cluster_gives_the_same_bits(tmp_path, monkeypatch):
     ("argument", "message"),
     [
         ("participants=2", "participants = 2 must be a whole number of at least 3"),
-        ("sensitivity.largest=1", "sensitivity.largest = 1 must be a number above 1.0"),
+        ("sensitivity.largest=1", "sensitivity.largest = 1 must be a finite number above 1"),
         ("sensitivity.variants=[V7]", "users.variant = 'V7' must be one of passive, comply_or_resist, goal_sharing"),
         ("sensitivity.parameters=[courage]", "courage is not a parameter of people"),
         ("n=0 sensitivity.points=0", "n = 0 must be at least 1 where sensitivity.points is 0"),
@@ -136,6 +137,6 @@ def test_wrong_settings_end_in_one_line_before_any_work(monkeypatch, capsys, tmp
     monkeypatch.setattr("guidance.study.replication.run_studies", None)
     monkeypatch.setattr("sys.argv", ["replicate", f"hydra.run.dir={tmp_path}/run", *argument.split()])
     with pytest.raises(SystemExit) as stopped:
-        replicate.main()
+        start_command(replicate.__name__)
     shown = capsys.readouterr().err
     assert stopped.value.code == 2 and shown.count("\n") == 1 and message in shown

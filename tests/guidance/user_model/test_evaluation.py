@@ -12,6 +12,7 @@ import torch
 from torch import nn
 
 from airhockey_marl.envs.physics import TableSpec, action_range
+from airhockey_marl.experiment.command import run
 from guidance.commands import prediction_report
 from guidance.study.models import Models
 from guidance.user_model.data import Demonstrations
@@ -160,7 +161,7 @@ def reported(tmp_path_factory):
     folder = tmp_path_factory.mktemp("prediction")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(sys, "argv", ["prediction_report", "+preset=smoke", f"hydra.run.dir={folder}"])
-        prediction_report.main()
+        run(prediction_report.__name__)
     return folder
 
 
@@ -192,5 +193,5 @@ def test_wrong_values_are_named(argument, message, monkeypatch, tmp_path, capsys
     arguments = ["prediction_report", "+preset=smoke", f"hydra.run.dir={tmp_path}", argument]
     monkeypatch.setattr(sys, "argv", arguments)
     with pytest.raises(SystemExit) as stop:
-        prediction_report.main()
+        run(prediction_report.__name__)
     assert stop.value.code == 2 and message in capsys.readouterr().err
