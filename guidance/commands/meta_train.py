@@ -205,7 +205,7 @@ def prediction_scores(
     import numpy as np
 
     from airhockey_marl.envs.physics import TableSpec
-    from guidance.user_model.evaluation import predictors
+    from guidance.user_model.evaluation import prediction_metrics, predictors
 
     found: dict[str, list[dict[str, float]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):

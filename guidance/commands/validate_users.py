@@ -151,7 +151,7 @@ def at_the_table(
 
     from airhockey_marl.envs.physics import TableSpec
     from guidance.simulated_users import sample_people
-    from guidance.simulated_users.validation.playstyles import features
+    from guidance.simulated_users.validation.playstyles import classify_styles, features, identification_rate
     from guidance.study.demonstrations import collect_demonstrations
     from guidance.user_model.rounds import hand_speed
 

@@ -26,7 +26,8 @@ from safetensors.torch import save_file
 
 from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.experiment.checkpoint import Checkpoint
-from airhockey_marl.experiment.command import require_counts, require_numbers, resumed_config
+from airhockey_marl.experiment.command import require_counts, require_numbers
+from airhockey_marl.experiment.config import resumed_config
 from airhockey_marl.experiment.files import load_tensors, save_tensors
 from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League

@@ -20,9 +20,9 @@ from safetensors.torch import save_file
 
 from airhockey_marl.commands import train
 from airhockey_marl.experiment.checkpoint import Checkpoint
-from airhockey_marl.experiment.command import CONF, resumed_config
+from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.command import run as start_command
-from airhockey_marl.experiment.config import read_config
+from airhockey_marl.experiment.config import read_config, resumed_config
 from airhockey_marl.experiment.files import load_tensors, save_tensors
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy

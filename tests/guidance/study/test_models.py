@@ -5,12 +5,12 @@ import json
 import pytest
 import torch
 
-from airhockey_marl.experiment.command import ROOT
 from airhockey_marl.experiment.files import sha256
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.study.models import Models, load_user_model, save_user_model
 from guidance.user_model.maml import forward_stacked
+from tests import ROOT
 
 LEAGUE = ROOT / "airhockey_marl" / "pretrained"
 USER = ROOT / "guidance" / "pretrained"
