@@ -80,6 +80,20 @@ def declared_conditions(entries: Iterable[Mapping[str, Any]]) -> dict[str, Condi
     return conditions
 
 
+def declared_metrics(entries: Iterable[Mapping[str, Any]]) -> dict[str, Metric]:
+    """The metrics beside the paper's eight by name, from the `metrics` of manifests.
+
+    Raises:
+        ValueError: a name, label or unit is not a text; names it.
+    """
+    metrics = {}
+    for entry in entries:
+        if wrong := [key for key in ("name", "label", "unit") if not isinstance(entry.get(key), str)]:
+            raise ValueError(f"manifest: metrics: {wrong[0]} = {entry.get(wrong[0])!r} must be a text")
+        metrics[entry["name"]] = Metric(entry["label"], "objective", entry["unit"])
+    return metrics
+
+
 def conditions_of(trials: pd.DataFrame, declared: Mapping[str, Condition] | None = None) -> dict[str, Condition]:
     """The conditions in the trials by name: the paper's in its order, then any others by their letters.
 

@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from guidance.statistics.design import METRICS, Condition, conditions_of, declared_conditions
+from guidance.statistics.design import METRICS, Condition, Metric, conditions_of, declared_conditions, declared_metrics
 from guidance.statistics.figures import confidence_half_width
 from guidance.statistics.paper import compare_with_paper
 from guidance.statistics.tests import run_tests
@@ -41,6 +41,12 @@ class Group:
         """The conditions beyond the paper's that the manifests declare, by name."""
         return declared_conditions(entry for manifest in self._manifests for entry in manifest.get("conditions", ()))
 
+    @cached_property
+    def extra_metrics(self) -> dict[str, Metric]:
+        """The metrics beside the paper's eight that the manifests declare and the trials have, by name."""
+        declared = declared_metrics(entry for manifest in self._manifests for entry in manifest.get("metrics", ()))
+        return {name: metric for name, metric in declared.items() if name in self.trials}
+
     @property
     def conditions(self) -> dict[str, Condition]:
         """The conditions of the trials by name, see `conditions_of`."""
@@ -69,7 +75,7 @@ class Group:
     @cached_property
     def tests(self) -> pd.DataFrame:
         """See `guidance.statistics.tests.run_tests`."""
-        return run_tests(self.trials, self.people, self.declared)
+        return run_tests(self.trials, self.people, self.declared, self.extra_metrics)
 
     @cached_property
     def comparison(self) -> pd.DataFrame:

@@ -126,7 +126,8 @@ def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
         conditions=CONDITIONS,
         labels={c.letter: c.label for c in (CONDITIONS | conditions).values()},
         types={"a": "NHG", "c": "OAHG", "f": "UPHG", "i": "CombHG"},
-        metrics=METRICS,
+        metrics=METRICS | group.extra_metrics,
+        extra=_extra_rows(group),
         evidence=EVIDENCE_OF_PEOPLE if people else EVIDENCE,
         withdrawn=withdrawn,
         absent=[name for name in CONDITIONS if name not in conditions],
@@ -171,6 +172,18 @@ def _means(trials: pd.DataFrame, conditions: Mapping[str, Condition]) -> list[di
         trials["condition"].value_counts(),
     )
     return [{"condition": condition, "n": n[name], **by_condition.loc[name]} for name, condition in conditions.items()]
+
+
+def _extra_rows(group: Group) -> list[dict[str, Any]]:
+    """Mean and SD of each metric of a plug-in under each condition, and its significant comparisons."""
+    rows = []
+    for name, metric in group.extra_metrics.items():
+        scores = group.trials.groupby("condition")[name].agg(["mean", "std"])
+        tests = group.tests[(group.tests["metric"] == name) & group.tests["significant"] & (group.tests["x"] != "")]
+        pairs = [f"({t.greater}) > ({_other(t.x, t.y, t.greater)})" for t in tests.itertuples()]
+        cells = [(condition, *scores.loc[key]) for key, condition in group.conditions.items()]
+        rows.append({"metric": metric, "cells": cells, "pairs": list(dict.fromkeys(pairs))})
+    return rows
 
 
 def _paired_rows(tests: pd.DataFrame, comparison: pd.DataFrame) -> list[dict[str, Any]]:

@@ -24,6 +24,7 @@ from guidance.statistics.design import (
     FEWEST_PARTICIPANTS,
     METRICS,
     Condition,
+    Metric,
     conditions_of,
 )
 
@@ -41,7 +42,10 @@ TESTS_DTYPES = (
 
 
 def run_tests(
-    trials: pd.DataFrame, people: bool = False, declared: Mapping[str, Condition] | None = None
+    trials: pd.DataFrame,
+    people: bool = False,
+    declared: Mapping[str, Condition] | None = None,
+    extra: Mapping[str, Metric] | None = None,
 ) -> pd.DataFrame:
     """Run every test of section 5 that the conditions present allow.
 
@@ -52,6 +56,7 @@ def run_tests(
         people: the trials are of people: their ratings are no proxies, and some may not have finished; games that
             they have not played count as NaN.
         declared: letters, labels and comparisons of conditions beyond the paper's, see `conditions_of`.
+        extra: metrics beside the eight, each a column of the trials, which are tested in the same way.
 
     Returns:
         One row per test, empty with fewer than three participants; families with an absent condition are skipped.
@@ -79,18 +84,18 @@ def run_tests(
     rows: list[dict[str, Any]] = []
     conditions = conditions_of(trials, declared)
     own = {name: condition for name, condition in conditions.items() if condition.guidance == BEYOND}
-    families = dict(FAMILIES)
+    families, metrics = dict(FAMILIES), METRICS | {name: m for name, m in (extra or {}).items() if name in trials}
     if own:
         families[BEYOND] = FAMILIES["types"] + "".join(condition.letter for condition in own.values())
     if trials["user"].nunique() >= FEWEST_PARTICIPANTS:
         tidy = trials.assign(condition=[conditions[name].letter for name in trials["condition"]])
-        for (family, letters), metric in product(families.items(), METRICS):
+        for (family, letters), metric in product(families.items(), metrics):
             if (scores := _scores(tidy, metric, letters)) is not None:
-                rows += [_about(family, metric, people) | row for row in _compare(scores)]
-        for (name, condition), metric in product(own.items(), METRICS):
+                rows += [_about(family, metric, metrics[metric].kind, people) | row for row in _compare(scores)]
+        for (name, condition), metric in product(own.items(), metrics):
             pairs = [_scores(tidy, metric, letter + condition.letter) for letter in condition.against]
             pairs = [scores for scores in pairs if scores is not None and scores.shape[1] == 2]
-            rows += [_about(name, metric, people) | row for row in _planned(pairs)]
+            rows += [_about(name, metric, metrics[metric].kind, people) | row for row in _planned(pairs)]
     tests = pd.DataFrame(rows, columns=list(TESTS_DTYPES))
     return tests.fillna({"x": "", "y": "", "greater": ""}).astype(TESTS_DTYPES)
 
@@ -103,8 +108,7 @@ def _scores(tidy: pd.DataFrame, metric: str, letters: str) -> pd.DataFrame | Non
     return tidy.pivot(index="user", columns="condition", values=metric)[levels].astype(float).dropna()
 
 
-def _about(family: str, metric: str, people: bool) -> dict[str, Any]:
-    kind = METRICS[metric].kind
+def _about(family: str, metric: str, kind: str, people: bool) -> dict[str, Any]:
     return {"family": family, "metric": metric, "kind": kind, "proxy": kind == "subjective" and not people}
 
 

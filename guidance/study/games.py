@@ -4,7 +4,7 @@ Each game has random number streams of its own, so its results are bit-identical
 same time. A finished game takes no more time.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 from typing import Protocol as Interface
@@ -18,7 +18,7 @@ from airhockey_marl.envs.world import World
 from airhockey_marl.experiment.validation import check_arrays, check_rows
 from airhockey_marl.players.players import Player
 from guidance.forces.conditions import GuidanceOutput
-from guidance.study.metrics import RunningMoments, disagreement, metric_values, new_counters, record
+from guidance.study.metrics import EXTRA_METRICS, RunningMoments, disagreement, metric_values, new_counters, record
 from guidance.study.protocol import Protocol, ProtocolState
 
 
@@ -113,10 +113,15 @@ class GameRunner:
 
 
 class MetricsRecorder:
-    """Accumulates the objective metrics of games and the moments of their guidance weights."""
+    """Accumulates the objective metrics of games and the moments of their guidance weights.
 
-    def __init__(self, runner: GameRunner) -> None:
+    Args:
+        extra: names of `EXTRA_METRICS` that are measured too.
+    """
+
+    def __init__(self, runner: GameRunner, extra: Sequence[str] = ()) -> None:
         n = len(runner.everyone)
+        self._extra = {name: EXTRA_METRICS.find(name, "metrics")(n, runner.tables.table) for name in extra}
         self.runner, self._counters = runner, new_counters(n)
         self._weights = {name: RunningMoments(n) for name in GuidanceOutput._fields[1:]}
 
@@ -129,10 +134,12 @@ class MetricsRecorder:
         for name, moments in self._weights.items():
             if getattr(tick.guidance, name) is not None:
                 moments.add(tick.games, getattr(tick.guidance, name).numpy())
+        for metric in self._extra.values():
+            metric.add(tick)
 
     def results(self) -> dict[str, np.ndarray]:
         """The objective metrics so far, (n,) each."""
-        return metric_values(self._counters)
+        return metric_values(self._counters) | {name: metric.values() for name, metric in self._extra.items()}
 
     def weights(self) -> dict[str, np.ndarray]:
         """Mean and SD (n,) of each weight so far."""
@@ -169,6 +176,7 @@ def play_games(
     keep_demonstrations: bool = False,
     progress: Callable[[float], None] = lambda share: None,
     on_tick: Callable[[GameStep, bool, np.ndarray], None] = lambda tick, scored, ended: None,
+    extra_metrics: Sequence[str] = (),
 ) -> Games:
     """Play one game at each of n tables, participants at the left.
 
@@ -179,11 +187,12 @@ def play_games(
         keep_demonstrations: keep the observations and actions of scored play.
         progress: called with the share of the rounds that are over.
         on_tick: called with every tick, whether it is scored, and the mask (n,) of the rounds that end with it.
+        extra_metrics: names of `EXTRA_METRICS` that are measured beside the paper's four.
     """
     n = len(serves)
     runner, state = GameRunner(participants, opponent, table, serves), ProtocolState(n, protocol, table.tick)
     runner.new_games()
-    metrics = MetricsRecorder(runner)
+    metrics = MetricsRecorder(runner, extra_metrics)
     trail: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
     while len(games := state.playing):

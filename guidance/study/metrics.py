@@ -10,13 +10,36 @@ Mean disagreement: over every scored tick, in N; 0 where the hand does not move.
 Win rate: share of the decided rounds.
 """
 
+from collections.abc import Callable
 from math import hypot
+from typing import Any, Protocol
 
 import numpy as np
 from numba import njit
 
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.puck_path import BLOCKED, NO_OUTCOME, heads_for_goal, shot_outcome
+from airhockey_marl.experiment.registry import Registry
 from airhockey_marl.experiment.validation import check_arrays, check_rows, kind_of
+
+EXTRA_METRICS: Registry[Callable[[int, TableSpec], "ExtraMetric"]] = Registry("metric")
+"""Metrics of plug-ins, measured beside the paper's four: called with the number of games and the table."""
+
+
+class ExtraMetric(Protocol):
+    """A metric that accumulates over the scored ticks of n games."""
+
+    label: str
+    unit: str
+
+    def add(self, tick: Any) -> None:
+        """Add a tick, see `guidance.study.games.GameStep`."""
+        ...
+
+    def values(self) -> np.ndarray:
+        """The metric of each game (n,) float; NaN where it is undefined."""
+        ...
+
 
 METRIC_COUNTERS = np.dtype(
     [

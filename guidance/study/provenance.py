@@ -16,6 +16,7 @@ from airhockey_marl.players.inference import greedy_player
 from airhockey_marl.players.players import Player
 from guidance.forces.condition_specs import ConditionSpec, select_specs
 from guidance.forces.conditions import Condition, GuidanceSettings, build_condition
+from guidance.study.metrics import EXTRA_METRICS
 from guidance.study.models import Models
 
 FROZEN = Path(__file__).parent / "frozen.json"  # study_hash and seed of the study
@@ -93,6 +94,10 @@ def manifest(cfg: DictConfig, hashes: dict[str, str], command_line: str, seconds
         "conditions": [
             {"name": s.name, "letter": s.letter, "label": s.label, "color": s.color, "against": list(s.against)}
             for s in condition_specs(cfg)
+        ],
+        "metrics": [
+            {"name": name, "label": EXTRA_METRICS[name].label, "unit": EXTRA_METRICS[name].unit}
+            for name in cfg.get("metrics") or ()
         ],
         "versions": {name: version(name) for name in VERSIONS},
         "seconds": round(seconds, 1),

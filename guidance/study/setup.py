@@ -12,6 +12,7 @@ from airhockey_marl.players.players import Player
 from guidance.forces.conditions import Condition
 from guidance.simulated_users import Advisors, SimulatedUsers, load_advisors
 from guidance.simulated_users.force_response import check_variant
+from guidance.study.metrics import EXTRA_METRICS
 from guidance.study.models import Models
 from guidance.study.protocol import Protocol
 from guidance.study.provenance import load_conditions, load_models, load_opponent
@@ -31,6 +32,7 @@ class StudySetup:
         advisors: the policies that skilled people learned from.
         rating_scales: the scale of each signal of the rating proxies.
         table: the table's dimensions and physics.
+        extra_metrics: names of metrics of plug-ins, measured beside the paper's four.
     """
 
     conditions: Sequence[Condition]
@@ -42,6 +44,7 @@ class StudySetup:
     advisors: Advisors
     rating_scales: Mapping[str, float]
     table: TableSpec = field(default_factory=TableSpec)
+    extra_metrics: tuple[str, ...] = ()
 
     def simulated_users(self, people: np.ndarray, rng_states: np.ndarray) -> SimulatedUsers:
         """Simulated participants (n,) with random number streams of these states (n,)."""
@@ -55,6 +58,9 @@ def load_setup(cfg: DictConfig) -> StudySetup:
         ValueError: a value is not valid, or a file is missing or broken; the message names it.
     """
     check_variant(cfg.users.variant)
+    metrics = tuple(cfg.get("metrics") or ())
+    for name in metrics:
+        EXTRA_METRICS.find(name, "metrics")
     device = cfg.get("compute", "cpu")
     return StudySetup(
         conditions=load_conditions(cfg),
@@ -65,4 +71,5 @@ def load_setup(cfg: DictConfig) -> StudySetup:
         variant=cfg.users.variant,
         advisors=load_advisors(cfg.users.advisors),
         rating_scales=OmegaConf.to_container(cfg.users.scales),
+        extra_metrics=metrics,
     )

@@ -79,12 +79,14 @@ def run_studies(
 
     numbers = [ascii_lowercase.index(condition.letter) for condition in conditions]
     participants, games = play(numbers, forces, stage="games")
+    extra = {name: games.results.pop(name) for name in setup.extra_metrics}  # after the paper's columns
     columns = {
         **games.results,
         **participants.ratings(setup.rating_scales),
         "rounds": games.rounds,
         "duration_s": games.seconds,
         **games.weights,
+        **extra,
     }
     columns = {name: values.reshape(len(conditions), -1) for name, values in columns.items()}
     edges = np.cumsum([0, *(len(cohort.people) for cohort in cohorts)])
@@ -121,6 +123,7 @@ def _play(
         table_states,
         keep_demonstrations,
         partial(progress, stage),
+        extra_metrics=setup.extra_metrics,
     )
     return participants, games
 
