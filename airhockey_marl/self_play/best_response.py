@@ -37,7 +37,7 @@ def best_response(
     Returns:
         For each generation: the steps so far, and the result of the new policy against the target.
     """
-    local = {"seed": seed, "device": "cpu", "collector": {"kind": SINGLE, "workers": 1}, "env": {"backend": "batched"}}
+    local = {"seed": seed, "compute": "cpu", "collector": {"kind": SINGLE, "workers": 1}, "env": {"backend": "batched"}}
     cfg = OmegaConf.merge(cfg, local)
     history = []
     with torch.random.fork_rng(devices=[]):
