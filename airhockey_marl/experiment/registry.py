@@ -199,12 +199,16 @@ def _defaults(entry: Any) -> dict[str, Any]:
     """The settings of an entry with their defaults; ??? for those that must be chosen."""
     if dataclasses.is_dataclass(entry) and not isinstance(entry, type):  # an object: its fields are the settings
         return {key: list(value) if isinstance(value, tuple) else value for key, value in vars(entry).items()}
-    parameters = inspect.signature(entry).parameters.values()
-    return {
-        p.name: "???" if p.default is p.empty else p.default
-        for p in parameters
-        if p.kind in (p.POSITIONAL_OR_KEYWORD, p.KEYWORD_ONLY)
-    }
+    factories = (
+        {f.name: f.default_factory for f in dataclasses.fields(entry)} if dataclasses.is_dataclass(entry) else {}
+    )
+    settings = {}
+    for parameter in inspect.signature(entry).parameters.values():
+        if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
+            factory = factories.get(parameter.name, dataclasses.MISSING)
+            default = "???" if parameter.default is parameter.empty else parameter.default
+            settings[parameter.name] = default if factory is dataclasses.MISSING else factory()
+    return settings
 
 
 def _origin(entry: Any) -> str:

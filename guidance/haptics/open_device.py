@@ -59,7 +59,9 @@ def _check_number(name: str, value: object, least: float, most: float | None = N
         raise ValueError(f"device.{name} = {value} must be a number of at least {least} and at most {most}")
 
 
-DEVICES: Registry[type[DeviceConfig]] = Registry("device", group="device", key="kind")
+DEVICES: Registry[type[DeviceConfig]] = Registry(
+    "device", dict.fromkeys(("mouse", "gamepad", "forcedimension", "simulated"), __name__), group="device", key="kind"
+)
 
 
 @DEVICES.register("mouse")
