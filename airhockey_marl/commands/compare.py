@@ -1,10 +1,10 @@
-"""Compare algorithms by the leagues they trained: how they play against scripts, their beginnings, and each other.
+"""Compare algorithms by the leagues they trained: against scripted players, their first generation, and each other.
 
-    python -m airhockey_marl.train -m algorithm=trpo,ppo,sac seed=0,1,2     nine runs, one after another
+    airhockey train -m algorithm=trpo,ppo,sac seed=0,1,2     nine runs, one after another
     airhockey compare runs=outputs/train/<date>/<time>-sweep
 
-Of each run, five generations (the first, the last and the quarters between) play the scripted anchors and their own
-generation 0; and the last generations of all runs play each other. All sample their actions, as in training. Writes
+Of each run, five generations (the first, the last and the quarters between) play the scripted players and their own
+generation 0, and the last generations of all runs play each other. All sample their actions, as in training. Writes
 comparison.csv, a row per match and side, and comparison.png into its run folder, and prints a table.
 """
 

@@ -1,4 +1,4 @@
-"""Report how good a league is: who beats whom, ratings, saves, and whether the STD means anything.
+"""Report the strength of a league: payoff matrix, ratings, saves, and the STD by situation.
 
     airhockey league_report                         the shipped league
     airhockey league_report run=outputs/train/...   one of your own

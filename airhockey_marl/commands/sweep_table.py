@@ -1,12 +1,11 @@
-"""Put what a sweep varied beside what came of it: a grid search as a table.
+"""Tabulate a sweep: the settings that it varied beside the scores of its runs.
 
-    python -m airhockey_marl.train -m hidden=[32,32],[64,64],[64,64,64] generations=20
+    airhockey train -m hidden=[32,32],[64,64],[64,64,64] generations=20
     airhockey meta_train -m hidden=[40,40],[80,80],[80,80,80,80]
     airhockey sweep_table runs=outputs/meta_train/<date>/<time>-sweep by=after_ua_loss
 
-Reads the card.json of every run below `runs`: the settings that differ between them are one side of the table, the
-scores on the cards the other. Seeds are averaged. Writes grid.csv, a row per run, into its run folder, and prints the
-table.
+Reads the card.json of every run below `runs`: settings that differ between the runs, and the scores; seeds are averaged.
+Writes grid.csv, a row per run, into its run folder, and prints the table.
 """
 
 from __future__ import annotations

@@ -1,16 +1,16 @@
 """Train the optimal action model: a league of generations that learn by playing those before them (section 3.2.2).
 
-    python -m airhockey_marl.train                     the paper's 100 generations x 200 K steps
-    python -m airhockey_marl.train +preset=smoke       seconds, to see that it runs
-    python -m airhockey_marl.train -m seed=0,1,2       three seeds, one after another
-    python -m airhockey_marl.train collector=multisync collector.workers=4    play collected by four processes
-    python -m airhockey_marl.train resume=outputs/...  go on with a run that was stopped, as if it had not been
-    tensorboard --logdir outputs                       watch
+    airhockey train                          the paper's 100 generations x 200 K steps
+    airhockey train +preset=smoke            seconds, to see that it runs
+    airhockey train -m seed=0,1,2            three seeds, one after another
+    airhockey train collector=multisync collector.workers=4    play collected by four processes
+    airhockey train resume=outputs/train/... continue a stopped run
+    tensorboard --logdir outputs             watch
 
-Writes into its run folder: league.safetensors (every generation), matches.csv (each generation against some before it
-and the scripted anchors), card.json (what it is, and how it plays), and what TensorBoard reads. All is written again
-after each generation, whole, and so is state.safetensors, from which `resume` goes on: weights, matches and what
-TensorBoard shows end bit for bit as those of a run that was never stopped (but for `speed/`, which is the clock's).
+Writes into its run folder: league.safetensors (every generation), matches.csv (each generation against earlier ones and
+the scripted players), card.json (configuration and scores), TensorBoard's files, and state.safetensors, from which
+`resume` continues. All are written after each generation, whole or not at all; a resumed run ends bit for bit as one
+that was never stopped, but for the tags `speed/`, which depend on the clock.
 """
 
 from contextlib import closing

@@ -1,4 +1,4 @@
-"""Set what may be set before a study, from unguided play of the nine training users and nothing else.
+"""Calibrate opponent, stiffness and thresholds on unguided play of the nine training users.
 
     airhockey calibrate
 

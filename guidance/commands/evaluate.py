@@ -1,14 +1,14 @@
 """Evaluate the nine conditions of haptic guidance on simulated people: the study of section 4, tests and report.
 
-    python -m guidance.evaluate                                all nine conditions, 20 people
-    python -m guidance.evaluate condition=oahg_ut              one of them
-    python -m guidance.evaluate -m 'condition=glob(*)'         the nine as nine jobs
-    python -m guidance.evaluate beyond=true                    the nine, and two that are not the paper's
+    airhockey evaluate                                all nine conditions, 20 people
+    airhockey evaluate condition=oahg_ut              one of them
+    airhockey evaluate -m 'condition=glob(*)'         the nine as nine jobs
+    airhockey evaluate 'beyond=[product]'             the nine, and one that is not the paper's
     airhockey report runs=outputs/evaluate/...        merge the jobs into one report
-    python -m guidance.evaluate +preset=smoke                  seconds, to see that it runs
+    airhockey evaluate +preset=smoke                  seconds, to see that it runs
 
 Writes into its run folder: trials.csv (a row per person and condition), tests.csv (every t, F and post hoc),
-figure6.png and .svg, report.html, manifest.json (configuration, seeds, models, versions), and what TensorBoard reads.
+figure6.png and .svg, report.html, manifest.json (configuration, seeds, models, versions), and TensorBoard's files.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""The paper's experiment for a real person: consent, practice, a game for UA, nine conditions, ratings, rests.
+"""Run the paper's experiment with one person: consent, practice, a game for UA, nine conditions, ratings, rests.
 
     airhockey lab participant=new                    somebody new, under a random label
     airhockey lab participant=P01                    P01, from where their session stopped

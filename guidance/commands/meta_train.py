@@ -1,12 +1,12 @@
 """Train the user prediction models: one meta-learned for user adaptation, one for people in general (section 3.2.3).
 
-    airhockey meta_train                      the paper's schedule, on nine simulated users
-    airhockey meta_train +preset=smoke        seconds, to see that it runs
-    airhockey meta_train resume=outputs/...   go on with a run that was stopped, as if it had not been
+    airhockey meta_train                               the paper's schedule, on nine simulated users
+    airhockey meta_train +preset=smoke                 seconds, to see that it runs
+    airhockey meta_train resume=outputs/meta_train/... continue a stopped run
     tensorboard --logdir outputs                       watch
 
-Writes into its run folder: meta.safetensors, user.safetensors, card.json (what they are, how well they predict people
-they have not seen), tensorboard/, and after each epoch state.safetensors, from which `resume` goes on.
+Writes into its run folder: meta.safetensors, user.safetensors, card.json (configuration, and prediction errors on unseen
+people), tensorboard/, and after each epoch state.safetensors, from which `resume` continues.
 """
 
 from __future__ import annotations

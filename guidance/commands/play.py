@@ -1,12 +1,12 @@
 """Play air hockey yourself, and feel the nine guidances.
 
     airhockey play                                 mouse, against generation 55
-    airhockey play opponent=60 device=gamepad      another opponent, another hand
-    airhockey play condition=oahg_ut overlay=true  begin with a guidance, and see what the models say
+    airhockey play opponent=60 device=gamepad      another opponent, another device
+    airhockey play condition=oahg_ut overlay=true  begin with a guidance, and show the models' predictions
 
-1 to 9 choose one of the conditions (a) to (i), a makes the user model yours, h shows all keys. Writes into its run
-folder: for every stretch of play under one condition a table with a row per tick (`..._beh.tsv`) and what describes it
-(`.json`). `airhockey watch run=<that folder>` shows them again.
+1 to 9 choose one of the conditions (a) to (i), a adapts the user model to you, h shows all keys. Writes into its run
+folder, for every part played under one condition, a table with a row per tick (`..._beh.tsv`) and its description
+(`.json`). `airhockey watch run=<that folder>` films them.
 """
 
 from pathlib import Path

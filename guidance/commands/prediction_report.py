@@ -1,4 +1,4 @@
-"""Report how well people are predicted whom no model has been trained on: by whom, how far ahead, and what UA adds.
+"""Evaluate the user models on unseen people: prediction error by horizon, and the benefit of user adaptation.
 
     airhockey prediction_report                       20 people, the shipped models
     airhockey prediction_report users.variant=passive      people of another kind

@@ -1,18 +1,18 @@
-"""Do the study again and again: which of the paper's 38 findings hold over other people, and over other assumptions?
+"""Replicate the study: which of the paper's 38 findings hold over other people and other assumptions.
 
     airhockey replicate                       200 studies, and 3 x 50 under other assumptions
     airhockey replicate n=20 sensitivity.points=0
     airhockey replicate ray=auto together=5   on all cores of a Ray cluster; ray=local: of this machine
-    airhockey replicate resume=outputs/...    go on with a run that was stopped, as if it had not been
+    airhockey replicate resume=outputs/...    continue a stopped run
 
-A study comes out the same to the last bit whichever others are played beside it. Each of the second kind draws its
-people from a population in which every assumed number is another one (a Latin hypercube), once per variant of how
-people answer a force. A few more are negative controls, which must leave UA nothing to do: everybody's game is taken
-for somebody else's, or all people have one style.
+A study is the same to the last bit whichever others are played beside it. Studies under other assumptions draw their
+people from populations in which every assumed number is varied (a Latin hypercube), for each variant of the response to
+a force. Negative controls leave user adaptation no effect: each model is adapted to another person's game, or all
+people have one playstyle.
 
-Writes into its run folder: batches/, the trials, a file whenever some studies are done; factors.csv, what was assumed;
-outcomes.csv, a row per study and pair of the paper's; studies.csv, a row per study; robustness.csv, a row per finding
-and kind of study; robustness.png and .svg; replicate.html; manifest.json.
+Writes into its run folder: batches/ (trials), factors.csv (assumptions), outcomes.csv (a row per study and pair of the
+paper's), studies.csv (a row per study), robustness.csv (a row per finding and kind of study), robustness.png and .svg,
+replicate.html, manifest.json.
 """
 
 import time

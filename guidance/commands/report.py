@@ -1,8 +1,9 @@
-"""The report of a study: the paper's tables and Figure 6 with the paper's numbers beside ours.
+"""Report a study: the paper's tables and Figure 6 with the paper's numbers beside ours.
 
-`airhockey report runs=outputs/evaluate/...` gathers every trials.csv below the given folders (one run, or the
-runs of a sweep over conditions) and writes tests.csv, figure6.png, figure6.svg and report.html. With `beside` another
-group stands beside it, such as simulated people beside people, with beside.png and beside.svg.
+    airhockey report runs=outputs/evaluate/...     every trials.csv below: one run, or the runs of a sweep
+    airhockey report runs=... beside=...           two groups side by side, such as people and simulated people
+
+Writes tests.csv, figure6.png and .svg, and report.html; with `beside` also beside.png and .svg.
 """
 
 from __future__ import annotations

@@ -1,12 +1,12 @@
-"""Measure the simulated people as people have been measured, before any guidance: a virtual laboratory.
+"""Validate the simulated people on human motor tasks and playstyles, before any guidance.
 
-    airhockey validate_users                       40 people in the laboratory, 120 at the table
-    airhockey validate_users users.variant=goal_sharing      another answer to forces
-    airhockey validate_users +preset=smoke         seconds, to see that it runs
+    airhockey validate_users                              40 people in the laboratory, 120 at the table
+    airhockey validate_users users.variant=goal_sharing   another response to forces
+    airhockey validate_users +preset=smoke                seconds, to see that it runs
 
 Prints each measure beside the human range and its source. Writes battery.csv (the same) and four figures into its run
-folder: speeds.png (speed profiles of reaches), push.png (how a hand gives way to a force), places.png (where each
-playstyle keeps its paddle) and shots.png (how the puck leaves it).
+folder: speeds.png (speed profiles of reaches), push.png (displacement of the hand by a force), places.png (where each
+playstyle keeps its paddle) and shots.png (velocities of the puck after a stroke).
 """
 
 from __future__ import annotations

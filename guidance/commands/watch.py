@@ -1,4 +1,4 @@
-"""Watch one person play under one condition: what a simulated person wants, what the models say, and the force.
+"""Film a simulated person or a recorded game: intention, predictions of the models, and force.
 
     airhockey watch                              a striker under OAHG (UT), 20 s
     airhockey watch user=wall condition=nhg      somebody else, without guidance
