@@ -4,8 +4,8 @@
     airhockey meta_train -m hidden=[40,40],[80,80],[80,80,80,80]
     airhockey sweep_table runs=outputs/meta_train/<date>/<time>-sweep by=after_ua_loss
 
-Reads the card.json of every run below `runs`: settings that differ between the runs, and the scores; seeds are averaged.
-Writes grid.csv, a row per run, into its run folder, and prints the table.
+Reads the card.json of every run below `runs`: settings that differ between runs, and scores; seeds are averaged.
+Writes sweep_table.csv, a row per run, into its run folder, and prints the table.
 """
 
 from __future__ import annotations
@@ -37,12 +37,12 @@ def main(cfg: DictConfig) -> None:
         if cfg.by is not None and cfg.by not in scores:
             raise InputError(f"by = {cfg.by} must be one of {', '.join(scores)}")
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
-    with atomic_write(folder / "grid.csv") as temporary:
+    with atomic_write(folder / "sweep_table.csv") as temporary:
         rows.to_csv(temporary, index=False)
     print(
         over_seeds(rows, varied, scores, cfg.by or scores[0]).to_string(index=False, float_format=lambda x: f"{x:.4g}")
     )
-    print(f"\ntable of all runs: {folder / 'grid.csv'}")
+    print(f"\ntable of all runs: {folder / 'sweep_table.csv'}")
 
 
 def read_cards(places: Iterable[str]) -> dict[Path, dict[str, Any]]:

@@ -4,7 +4,7 @@
     airhockey validate_users users.variant=goal_sharing   another response to forces
     airhockey validate_users +preset=smoke                seconds, to see that it runs
 
-Prints each measure beside the human range and its source. Writes battery.csv (the same) and four figures into its run
+Prints each measure beside the human range and its source. Writes human_measures.csv (the same) and four figures into its run
 folder: speeds.png (speed profiles of reaches), push.png (displacement of the hand by a force), places.png (where each
 playstyle keeps its paddle) and shots.png (velocities of the puck after a stroke).
 """
@@ -87,7 +87,7 @@ def main(cfg: DictConfig) -> None:
     skills = by_skill(population, 6 * cfg.per_style, opponent, cfg.users.variant, advisors, cfg.seed)
     table = as_table({**found, **styles, **skills})
     folder = Path(HydraConfig.get().runtime.output_dir)
-    with atomic_write(folder / "battery.csv") as temporary:
+    with atomic_write(folder / "human_measures.csv") as temporary:
         table.to_csv(temporary, index=False)
     pushed = {name: push_response(people, name, seed=cfg.seed) for name in Variant.__members__}
     names = list(population.style.archetypes)

@@ -144,7 +144,7 @@ def test_tensorboard_shows_each_generation_once(trained):
 
 def test_the_battery_measures_and_draws(tmp_path):
     done = smoke("guidance", "validate_users", f"hydra.run.dir={tmp_path}")
-    table = pd.read_csv(tmp_path / "battery.csv")
+    table = pd.read_csv(tmp_path / "human_measures.csv")
     assert len(table) == 15 and table["mean"].notna().all()
     assert all(name in done.stdout for name in table["measure"])
     for name in ("speeds", "push", "places", "shots"):

@@ -44,7 +44,7 @@ def test_what_was_varied_stands_beside_what_came_of_it(sweep):
 
 def test_the_command_writes_every_run(sweep, monkeypatch, tmp_path, capsys):
     run(monkeypatch, f"runs={sweep}", "by=error", f"hydra.run.dir={tmp_path}/run")
-    assert len(pd.read_csv(tmp_path / "run" / "grid.csv")) == 4
+    assert len(pd.read_csv(tmp_path / "run" / "sweep_table.csv")) == 4
     printed = capsys.readouterr().out
     assert printed.index("[16,16]") < printed.index("[8]")
 
