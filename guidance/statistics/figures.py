@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Collection, Mapping
+from math import ceil
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -45,6 +46,9 @@ def color_of(condition: Condition) -> str:
     return condition.color or COLORS[condition.guidance]
 
 
+LEGEND_ENTRY = 0.4, 0.065  # in, about the width of an entry of Figure 6 without its label, and of a character
+
+
 def figure6(
     trials: pd.DataFrame,
     withdrawn: Collection[str] = (),
@@ -82,7 +86,9 @@ def figure6(
         for condition in present.values()
     ]
     style = {"frameon": False, "fontsize": 8.5, "handlelength": 1.1, "columnspacing": 1.4, "handletextpad": 0.5}
-    figure.legend(handles=legend, loc="outside lower center", ncols=len(present), **style)
+    inches = sum(LEGEND_ENTRY[0] + LEGEND_ENTRY[1] * len(patch.get_label()) for patch in legend)
+    rows = ceil(inches / figure.get_figwidth())
+    figure.legend(handles=legend, loc="outside lower center", ncols=ceil(len(legend) / rows), **style)
     return figure
 
 

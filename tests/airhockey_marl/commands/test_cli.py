@@ -142,7 +142,7 @@ def test_tensorboard_shows_each_generation_once(trained):
     assert all([step for step, _ in values] == [1000, 2000] for values in shown.values())
 
 
-def test_the_battery_measures_and_draws(tmp_path):
+def test_validate_users_measures_and_draws(tmp_path):
     done = smoke("guidance", "validate_users", f"hydra.run.dir={tmp_path}")
     table = pd.read_csv(tmp_path / "human_measures.csv")
     assert len(table) == 15 and table["mean"].notna().all()
