@@ -335,9 +335,10 @@ def test_one_process_at_a_time_has_the_folder(records, folder):
     ready, tell = os.pipe()
 
     def hold():
-        Records(folder, FACTS)
+        records = Records(folder, FACTS)
         os.write(tell, b"1")
         time.sleep(60)
+        records.close()
 
     pid = child(hold)
     os.read(ready, 1)
