@@ -108,7 +108,7 @@ def test_a_puck_behind_the_paddle_is_gone_around(name):
 
 def test_the_striker_beats_the_random_player_and_the_defender():
     won = play_match(player("striker"), player("random", 1), 200, 0)
-    assert won.won >= 0.9 * 200
+    assert won.wins >= 0.9 * 200
     assert play_match(player("striker"), player("defender", 1), 100, 0).win_rate > 0.7
 
 

@@ -214,7 +214,7 @@ def test_who_is_told_to_end_ends_well(tmp_path):
     [
         ("device=cuda", "device = cuda must be one of forcedimension, gamepad, mouse, simulated"),
         ("device=joystick", "device = joystick must be one of forcedimension, gamepad, mouse, simulated"),
-        ("device.max_speed=0", "device.max_speed = 0 must be a finite number above 0"),
+        ("device.max_speed=0", "device.max_speed = 0 must be a number above 0.0"),
         ("device=gamepad", "device: gamepad = 0 must be the index of a connected gamepad, of which there are 0"),
         ("condition=uphg_ua", "condition = uphg_ua needs a model of you"),
         ("opponent=1000", "generation = 1000"),

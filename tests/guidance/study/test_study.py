@@ -100,7 +100,8 @@ def test_nine_orders_are_balanced_over_multiples_of_eighteen():
 
 
 def test_a_condition_beyond_the_nine_comes_after_them(models):
-    trials = study(models, [NHG, replace(OAHG, name="mine", letter="k"), replace(OAHG, name="other", letter="j")])
+    mine, other = (replace(OAHG, spec=replace(OAHG.spec, name=n, letter=l)) for n, l in (("mine", "k"), ("other", "j")))
+    trials = study(models, [NHG, mine, other])
     assert (trials["position"][trials["condition"] == "mine"] == 11).all()
     assert (trials["position"][trials["condition"] == "other"] == 10).all()
     assert trials["position"][trials["condition"] == "nhg"].le(9).all()
