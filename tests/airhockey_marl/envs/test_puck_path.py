@@ -127,8 +127,10 @@ def test_heads_for_goal_agrees_with_an_empty_table(x, y, vx, vy):
     near_a_post = False
     goal = 0
     while goal == 0 and bodies[PUCK, 2] < 0:
+        before = bodies[PUCK, :2].copy()
         goal, _ = step_physics(bodies, target, empty)
-        gap = np.hypot(bodies[PUCK, 0] + empty.length / 2, abs(bodies[PUCK, 1]) - empty.goal / 2)
-        near_a_post = near_a_post or gap < 2.5 * empty.puck_radius
+        for place in np.linspace(before, bodies[PUCK, :2], 20):  # within a tick a fast puck passes a post
+            gap = np.hypot(place[0] + empty.length / 2, abs(place[1]) - empty.goal / 2)
+            near_a_post = near_a_post or gap < 2.5 * empty.puck_radius
     if not near_a_post:  # contacts with a post are neglected
         assert predicted == (goal == -1)
