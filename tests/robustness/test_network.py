@@ -56,7 +56,9 @@ def test_network_access_is_noticed(program):
 
 def test_a_study_needs_no_network(tmp_path):
     done = run_without_network(
-        "from guidance.evaluate import main; main()", "+preset=smoke", f"hydra.run.dir={tmp_path}/run"
+        "from airhockey_marl.experiment.command import run; run('guidance.commands.evaluate')",
+        "+preset=smoke",
+        f"hydra.run.dir={tmp_path}/run",
     )
     assert done.returncode == 0 and "NETWORK" not in done.stderr, done.stderr
     page = (tmp_path / "run" / "report.html").read_text()
@@ -67,6 +69,8 @@ def test_a_study_needs_no_network(tmp_path):
 @pytest.mark.slow
 def test_a_training_needs_no_network(tmp_path):
     done = run_without_network(
-        "from airhockey_marl.train import main; main()", "+preset=smoke", f"hydra.run.dir={tmp_path}/run"
+        "from airhockey_marl.experiment.command import run; run('airhockey_marl.commands.train')",
+        "+preset=smoke",
+        f"hydra.run.dir={tmp_path}/run",
     )
     assert done.returncode == 0 and "NETWORK" not in done.stderr, done.stderr
