@@ -7,7 +7,7 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
-SHARED = Path(__file__).parent / "templates"  # base.html with the style of all pages, macros.html
+SHARED = Path(__file__).parent  # base.html with the style of all pages, macros.html
 
 
 def template(folder: Path, name: str, **filters: Callable) -> Template:
