@@ -38,8 +38,7 @@ from airhockey_marl.experiment.plotting import (
 )
 from airhockey_marl.league.league import League
 from airhockey_marl.league.opponent_batch import PlayerId
-from airhockey_marl.players.players import stochastic
-from airhockey_marl.players.rollout import rollout
+from airhockey_marl.players.players import rollout, stochastic
 
 if TYPE_CHECKING:
     from matplotlib.colors import Colormap

@@ -7,11 +7,9 @@ import torch
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.world import World, round_steps
-from airhockey_marl.experiment.validation import check_counts
 from airhockey_marl.league.opponent_batch import OpponentBatch, PlayerId
 from airhockey_marl.players.networks import GaussianPolicy
-from airhockey_marl.players.players import Player, stochastic
-from airhockey_marl.players.rollout import rollout
+from airhockey_marl.players.players import Player, rollout, stochastic
 
 FRAME_SKIP = 2  # ticks for which an action is held, in training (conf/env) and in matches
 RESULT_COLUMNS = ("won", "lost", "undecided")  # of a `MatchResult` in matches.csv, payoff.csv and comparison.csv
@@ -49,11 +47,7 @@ def play_rounds(
 
     Returns:
         (tables, 3) int: wins of the left player, losses, and draws, as in `MatchResult`.
-
-    Raises:
-        ValueError: a number is out of range, or a player does not return actions (n, 2).
     """
-    check_counts(tables=tables, rounds=rounds)
     world = World(tables, table)
     world.seed(seed)
     world.new_rounds()
@@ -77,12 +71,6 @@ def play_matches(
     """
     score = play_rounds(left, right, matches * tables, rounds, seed, **options)
     return [MatchResult(*counts) for counts in score.reshape(matches, tables, 3).sum(axis=1).tolist()]
-
-
-def play_match(left: Player, right: Player, rounds: int, seed: int, **options: Any) -> MatchResult:
-    """Play `rounds` rounds side by side, one per table; see `play_rounds` for the options."""
-    (result,) = play_matches(left, right, 1, rounds, 1, seed, **options)
-    return result
 
 
 def play_opponents(

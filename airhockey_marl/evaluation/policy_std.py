@@ -26,8 +26,7 @@ from airhockey_marl.envs.physics import LEFT, TOUCHED_BY, TableSpec
 from airhockey_marl.envs.puck_path import seconds_to_goal
 from airhockey_marl.envs.world import OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.evaluation.matches import FRAME_SKIP
-from airhockey_marl.players.players import Player
-from airhockey_marl.players.rollout import rollout
+from airhockey_marl.players.players import Player, rollout
 
 SAVE_SECONDS, STRIKE_SECONDS, FAR = 0.4, 0.2, 0.8  # s, s, m
 SITUATIONS = ("before a save", "before a strike", "puck far away", "otherwise")

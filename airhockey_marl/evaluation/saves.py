@@ -18,8 +18,7 @@ from airhockey_marl.envs.physics import LEFT, RIGHT, TOUCHED_BY, TableSpec
 from airhockey_marl.envs.puck_path import BLOCKED, CONCEDED, shot_outcome, without_paddles, would_score
 from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.evaluation.matches import FRAME_SKIP
-from airhockey_marl.players.players import Player
-from airhockey_marl.players.rollout import decide
+from airhockey_marl.players.players import Player, decide
 
 
 class Saves(NamedTuple):

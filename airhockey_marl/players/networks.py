@@ -24,9 +24,6 @@ class ObservationScaling(nn.Module):
 
     Args:
         origin: of the puck's position: "table", the table's center as in the observation, or "paddle", the own paddle.
-
-    Raises:
-        ValueError: an unknown origin.
     """
 
     def __init__(self, origin: str) -> None:
@@ -46,11 +43,7 @@ class ObservationScaling(nn.Module):
 
 
 def check_hidden(hidden: Any, name: str = "hidden") -> None:
-    """Raise if `hidden` is not a sequence of layer sizes, or makes a network of more than `MAX_WEIGHTS` weights.
-
-    Raises:
-        ValueError: names the value and what is allowed.
-    """
+    """Raise a ValueError if `hidden` is no sequence of layer sizes, or makes more than `MAX_WEIGHTS` weights."""
     sized = isinstance(hidden, Sequence) and not isinstance(hidden, str) and len(hidden) > 0
     if not sized or not all(isinstance(size, int) and not isinstance(size, bool) and size >= 1 for size in hidden):
         shown = tuple(hidden) if isinstance(hidden, Sequence) and not isinstance(hidden, str) else hidden
@@ -86,11 +79,7 @@ class GaussianPolicy(nn.Module):
 
     @classmethod
     def from_architecture(cls, architecture: Mapping[str, Any]) -> "GaussianPolicy":
-        """An untrained model of an `architecture`; other keys of a file's metadata are ignored.
-
-        Raises:
-            ValueError: the sizes of the hidden layers are missing or wrong.
-        """
+        """An untrained model of an `architecture`; other keys of a file's metadata are ignored."""
         if "hidden" not in architecture:
             raise ValueError("has no sizes of hidden layers (hidden): not a file of this project")
         return cls(architecture["hidden"], architecture.get("inputs", TABLE))

@@ -1,12 +1,14 @@
-"""Players: functions from observations to actions, made from policies."""
+"""Players, functions from observations to actions made from policies, and rollouts of two of them on n tables."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor
 
-from airhockey_marl.experiment.validation import CPU, check_tensors
+from airhockey_marl.envs.physics import LEFT, RIGHT
+from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, World
 
 Player = Callable[[Tensor], Tensor]  # observations (n, 12) -> actions (n, 2)
 Policy = Callable[[Tensor], tuple[Tensor, Tensor]]  # observations (n, 12) -> mean and STD (n, 2) of the action
@@ -27,12 +29,44 @@ def stochastic(policy: Policy, generator: torch.Generator) -> Player:
     return play
 
 
-def act(player: Player, observation: np.ndarray) -> np.ndarray:
-    """A player's actions (n, 2) at observations (n, 12).
+class Step(NamedTuple):
+    """One decision of both players; the arrays are written again in the next step.
 
-    Raises:
-        ValueError: the player returns something else.
+    Attributes:
+        observation: (2, n, 12) before the decision, by agent.
+        action: (n, 2, 2).
+        done: (n,) bool, the round ended by a goal or by time.
     """
-    actions = player(torch.from_numpy(observation))
-    check_tensors(CPU, player=(actions, f"{len(observation)} 2"))
-    return actions.numpy()
+
+    observation: np.ndarray
+    action: np.ndarray
+    done: np.ndarray
+
+
+def decide(world: World, players: tuple[Player, Player], observation: np.ndarray, action: np.ndarray) -> None:
+    """Write what both agents observe into `observation` (2, n, 12) and their actions into `action` (n, 2, 2)."""
+    for agent in (LEFT, RIGHT):
+        action[:, agent] = players[agent](torch.from_numpy(world.observe(agent, observation[agent]))).numpy()
+
+
+def rollout(world: World, players: tuple[Player, Player], frame_skip: int, max_steps: int) -> Iterator[Step]:
+    """Play without end from the world's present state, and yield each step.
+
+    When a step is yielded, `world` is in the state at its end; afterwards new rounds begin where `done`.
+
+    Args:
+        players: the left and the right one.
+        frame_skip: ticks for which an action is held.
+        max_steps: of a round.
+    """
+    observation = np.empty((2, world.n, OBSERVATION_SIZE), dtype=np.float32)
+    action = np.empty((world.n, 2, ACTION_SIZE), dtype=np.float32)
+    steps = np.zeros(world.n, dtype=np.int64)
+    while True:
+        decide(world, players, observation, action)
+        world.step(action, frame_skip)
+        steps += 1
+        done = (world.goals != 0) | (steps >= max_steps)
+        yield Step(observation, action, done)
+        world.new_rounds(done)
+        steps[done] = 0

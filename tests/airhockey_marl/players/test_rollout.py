@@ -8,7 +8,7 @@ import torch
 
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec
 from airhockey_marl.envs.world import World
-from airhockey_marl.players.rollout import rollout
+from airhockey_marl.players.players import rollout
 
 TABLE = TableSpec()
 
@@ -40,8 +40,3 @@ def test_rounds_end_by_goals_and_by_time():
     assert next(steps).done.tolist() == [False, False] and abs(world.bodies[0, PUCK, 0]) < 0.1  # a new serve
     assert next(steps).done.tolist() == [False, True]
     assert next(steps).done.tolist() == [True, False]
-
-
-def test_a_player_that_returns_no_actions_is_refused():
-    with pytest.raises(ValueError, match=r"player: shape \(1, 12\), must be \(1, 2\)"):
-        next(rollout(World(1), (lambda observation: observation, midpoint), 1, 10))
