@@ -1,8 +1,7 @@
 """Configurations: where they lie, what may be typed for them, and how those that lie in run folders are read.
 
-A run folder may be anybody's, so that no configuration may take more time or memory than it is long. A few lines of
-yaml can mean a billion: aliases of lists of aliases, or `${references}` to texts of references, which are resolved one
-by one. What Hydra writes has no aliases and a handful of references.
+A run folder may be anybody's, and a few lines of yaml can mean a billion: aliases of lists of aliases, or
+`${references}` to texts of references. What Hydra writes has no aliases and a handful of references.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -19,12 +18,10 @@ from hydra.core.override_parser.types import ChoiceSweep, Glob, IntervalSweep, O
 from hydra.errors import HydraException
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from yaml import AliasEvent, CollectionStartEvent, NodeEvent, ScalarEvent, YAMLError
+from yaml import AliasEvent, YAMLError
 
-LARGEST = 100_000  # bytes; the largest that a command of ours writes has 7,000
-DEEPEST = 30  # lists and tables within each other; ours have 5
-MOST_REFERENCES = 16  # of all its texts; ours have 6. Each three of them can make it three times as much at most
-LONGEST = 1000  # characters of a text with references, to read which takes longer than its length
+MAX_BYTES = 30_000  # of a kept configuration; the largest that a command of ours writes has 7,000
+MAX_REFERENCES = 16  # in it; ours have 6. Each three of them can make it three times as much at most
 
 ROOT = Path(__file__).resolve().parents[2]
 _INSTALLED = Path(__file__).resolve().parents[1] / "conf"  # in a source tree a link to ROOT / "conf"
@@ -49,7 +46,7 @@ def default_choices(conf: Path, name: str) -> dict[str, str | None]:
 
 
 def group_options(conf: Path, name: str) -> dict[str, list[str]]:
-    """The groups of a command and the options of each, a plug-in's too; of `COMMAND_GROUPS` and the launchers as well."""
+    """The groups of a command, `COMMAND_GROUPS` and the launchers included, and the options of each."""
     defaults, loader = default_choices(conf, name), GlobalHydra.instance().config_loader()
     folders = {group: group for group in (*defaults, "hydra/launcher")}
     folders |= {group: f"{group}/{name}" for group in COMMAND_GROUPS}
@@ -68,11 +65,7 @@ def also_search(conf: Path) -> list[str]:
 
 
 def check_overrides(conf: Path, name: str, arguments: Sequence[str]) -> None:
-    """Compare what is typed for conf/<name>.yaml with what it has: groups, their options, keys and types of values.
-
-    Raises:
-        InputError: names the first argument that is not valid, and what is.
-    """
+    """Compare what is typed for conf/<name>.yaml with what it has: groups, their options, keys and types of values."""
     overrides = [_parse(argument) for argument in arguments]
     with initialize_config_dir(str(conf), version_base="1.3"):
         loader, own = GlobalHydra.instance().config_loader(), group_options(conf, name)
@@ -230,43 +223,18 @@ def resumed_config(run: Path, state: str, now: Mapping[str, Any] = MappingProxyT
 
 
 def read_config(file: Path) -> DictConfig:
-    """Read a configuration.
-
-    Raises:
-        ValueError: it is no yaml, no table, or more than it seems; names the file.
-        OSError: it cannot be read.
-    """
+    """Read a configuration; a ValueError names the file if it is no yaml, no table, or more than it seems."""
     with file.open("rb") as handle:
-        content = handle.read(LARGEST + 1)
-    if len(content) > LARGEST:
-        raise ValueError(f"{file} is of more than {LARGEST} bytes, must be a configuration that a run has kept")
+        content = handle.read(MAX_BYTES + 1)
+    if len(content) > MAX_BYTES:
+        raise ValueError(f"{file} is of more than {MAX_BYTES} bytes, must be a configuration that a run has kept")
     try:
         text = content.decode("utf-8")
-        if trouble := _swelling(text):
-            raise ValueError(trouble)
+        if text.count("${") > MAX_REFERENCES or any(isinstance(event, AliasEvent) for event in yaml.parse(text)):
+            raise ValueError(f"it has aliases, or more than {MAX_REFERENCES} references")
         config = OmegaConf.create(text)
     except (YAMLError, ValueError, RecursionError, OmegaConfBaseException) as error:  # no UTF-8 is a ValueError, too
         raise ValueError(f"{file} is no yaml of ours: {' '.join(str(error).split())[:200]}") from error
     if not isinstance(config, DictConfig):
         raise ValueError(f"{file} is no yaml of ours: it must be a table of keys and values")
     return config
-
-
-def _swelling(text: str) -> str | None:
-    """What in a yaml could make it larger than it looks; None if nothing does."""
-    depth = references = 0
-    for event in yaml.parse(text, Loader=yaml.SafeLoader):
-        if isinstance(event, AliasEvent) or (isinstance(event, NodeEvent) and event.anchor is not None):
-            return f"line {event.start_mark.line + 1} has an alias or an anchor, must have none"
-        if isinstance(event, NodeEvent):
-            depth += isinstance(event, CollectionStartEvent)
-        elif isinstance(event, yaml.CollectionEndEvent):
-            depth -= 1
-        if depth > DEEPEST:
-            return f"line {event.start_mark.line + 1} is {depth} levels deep, must be at most {DEEPEST}"
-        if isinstance(event, ScalarEvent) and "${" in event.value:
-            references += event.value.count("${")
-            if references > MOST_REFERENCES or len(event.value) > LONGEST:
-                line = f"line {event.start_mark.line + 1}"
-                return f"{line}: more than {MOST_REFERENCES} references, or in more than {LONGEST} characters"
-    return None

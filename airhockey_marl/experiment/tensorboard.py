@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import io
 import json
-import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -121,20 +120,9 @@ def open_writer(folder: Path, purge_step: int | None = None) -> SummaryWriter:
     """Open a writer of event files.
 
     Args:
-        purge_step: of a resumed run, the first step that is logged again. TensorBoard then drops what files that it
-            reads earlier have from this step on. It reads in the order of file names, which hold the time of creation:
-            earlier files are renumbered from 0, so that they come first even if the clock was set back.
+        purge_step: of a resumed run, the first step that is logged again: TensorBoard then drops what earlier files
+            have from this step on.
     """
     from torch.utils.tensorboard import SummaryWriter
 
-    for number, path in enumerate(sorted(folder.glob("events.out.tfevents.*"))):
-        rest = path.name.split(".", 4)[4]  # host, process and a counter
-        path.rename(path.with_name(f"events.out.tfevents.{number:010d}.{rest}"))
-    threading.excepthook = _report_thread_error
     return SummaryWriter(str(folder), purge_step=purge_step)
-
-
-def _report_thread_error(args: threading.ExceptHookArgs) -> None:
-    """Print the traceback of a thread, except of TensorBoard's, whose OSError the next write or flush raises again."""
-    if not (isinstance(args.exc_value, OSError) and type(args.thread).__module__.startswith("tensorboard.")):
-        threading.__excepthook__(args)

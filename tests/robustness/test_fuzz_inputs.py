@@ -212,17 +212,16 @@ LISTS = nested("a0: [ha]", "a{0}: [{1}]", "'${{a{}}}'", ", ")
 @pytest.mark.parametrize(
     ("content", "message"),
     [
-        (LAUGHS, "line 2 has an alias or an anchor"),
-        ("resume: null\nx: &x {y: 1}\nz: {<<: *x}\n", "line 2 has an alias or an anchor"),
-        (TEXTS, "line 4: more than 16 references"),
-        (LISTS, "line 4: more than 16 references"),
-        ("resume: null\nx: '" + "." * 2000 + "${resume}'\n", "more than 1000 characters"),
-        ("resume: null\nx: " + "[" * 40_000 + "]" * 40_000, "line 2 is 31 levels deep"),
-        ("resume: null\nx: " + "x" * 100_000, "is of more than 100000 bytes"),
-        ("resume: null\nx: " + "9" * 50_000, "is no yaml"),
+        (LAUGHS, "has aliases, or more than 16 references"),
+        ("resume: null\nx: &x {y: 1}\nz: {<<: *x}\n", "has aliases, or more than 16 references"),
+        (TEXTS, "has aliases, or more than 16 references"),
+        (LISTS, "has aliases, or more than 16 references"),
+        ("resume: null\nx: " + "[" * 14_000 + "]" * 14_000, "is no yaml"),
+        ("resume: null\nx: " + "x" * 30_000, "is of more than 30000 bytes"),
+        ("resume: null\nx: " + "9" * 20_000, "is no yaml"),
         ("resume: null\n\xff", "is no yaml"),
     ],
-    ids=["aliases", "a merge", "texts", "lists", "a long text", "depth", "size", "a number", "no UTF-8"],
+    ids=["aliases", "a merge", "texts", "lists", "depth", "size", "a number", "no UTF-8"],
 )
 def test_a_small_configuration_cannot_take_much_memory(tmp_path, content, message):
     """Each, such as the first, a "billion laughs", would take gigabytes or exhaust the stack when read naively."""
@@ -247,9 +246,9 @@ def test_the_configuration_that_hydra_writes_is_accepted(tmp_path):
 def test_an_accepted_configuration_grows_little(tmp_path):
     """The worst accepted case: as many references to references as are allowed."""
     file = tmp_path / "config.yaml"
-    file.write_text(f"a0: {'x' * 60_000}\n" + "".join(f"a{i + 1}: '{f'${{a{i}}}' * 3}'\n" for i in range(5)))
+    file.write_text(f"a0: {'x' * 20_000}\n" + "".join(f"a{i + 1}: '{f'${{a{i}}}' * 3}'\n" for i in range(5)))
     longest = max(len(str(value)) for value in OmegaConf.to_container(read_config(file), resolve=True).values())
-    assert longest == 3**5 * 60_000
+    assert longest == 3**5 * 20_000
 
 
 @pytest.mark.parametrize("state", ["pickle", "torch", "cut"])
