@@ -18,11 +18,7 @@ from airhockey_marl.experiment.files import atomic_write, find_files
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise for values that cannot be used.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "rounds", "threads")
     require_counts(cfg, "seed", least=0)
 

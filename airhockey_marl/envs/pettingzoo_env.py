@@ -42,9 +42,6 @@ class AirHockey(ParallelEnv):
 
     Attributes:
         world: the `World` of one table.
-
-    Raises:
-        ValueError: an argument is out of range.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"name": "air_hockey_v0", "render_modes": ["rgb_array"], "render_fps": 50}
@@ -87,12 +84,7 @@ class AirHockey(ParallelEnv):
         return self._observe(), {agent: {} for agent in AGENTS}
 
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
-        """Play one step; returns observations, rewards, terminations, truncations and infos by agent.
-
-        Raises:
-            RuntimeError: the round is over.
-            ValueError: an action is missing or not of shape (2,).
-        """
+        """Play one step; returns observations, rewards, terminations, truncations and infos by agent."""
         if not self.agents:
             raise RuntimeError("the round is over: call reset() first")
         left, right = actions.get("left"), actions.get("right")

@@ -77,11 +77,7 @@ MAX_VALUES = {
 
 
 def check_table(table: TableSpec) -> TableSpec:
-    """Return `table` after checking that it can be played on.
-
-    Raises:
-        ValueError: a field is out of range; names the field, its value and what is allowed.
-    """
+    """Return `table`, or raise a ValueError that names the field with which it cannot be played on."""
     for name, value in table._asdict().items():
         lowest = 0 if name in ("drag", "friction", "serve_speed_low", "serve_angle", "stall_speed") else 1e-9
         number = isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(value)

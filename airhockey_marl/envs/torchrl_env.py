@@ -17,7 +17,6 @@ from torchrl.envs import EnvBase, PettingZooWrapper, SerialEnv
 from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.world import ACTION_SIZE, AGENTS, OBSERVATION_SIZE, World, round_steps
-from airhockey_marl.experiment.validation import check_counts
 
 
 class AirHockeyEnv(EnvBase):
@@ -31,23 +30,13 @@ class AirHockeyEnv(EnvBase):
         n: number of tables.
         round_seconds, frame_skip, table: as for `AirHockey`.
         seed: of the serves; table i gets `seed` + i.
-
-    Raises:
-        ValueError: an argument is out of range.
     """
 
     _has_frame_skip = True  # `_step` skips frames itself; without this `EnvBase` would wrap it in a FrameSkipTransform
 
     def __init__(
-        self,
-        n: int,
-        round_seconds: float = 60.0,
-        frame_skip: int = 1,
-        table: TableSpec | None = None,
-        seed: int | None = None,
+        self, n: int, round_seconds: float = 60.0, frame_skip: int = 1, table: TableSpec | None = None, seed: int = 0
     ) -> None:
-        check_counts(tables=n)
-        check_counts(0, seed=0 if seed is None else seed)
         super().__init__(device="cpu", batch_size=[n])
         self.world = World(n, table)
         self.frame_skip = frame_skip
@@ -64,7 +53,7 @@ class AirHockeyEnv(EnvBase):
         self.reward_spec = per_agent(reward=Unbounded([n, 1, 1], dtype=torch.float32))
         flag = Categorical(2, shape=[n, 1], dtype=torch.bool)
         self.done_spec = Composite(done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=[n])
-        self.set_seed(seed if seed is not None else 0)
+        self.set_seed(seed)
 
     def _set_seed(self, seed: int | None) -> None:
         self.world.seed(0 if seed is None else seed)
@@ -113,12 +102,7 @@ def make_env(
     Args:
         backend: `"batched"` for `AirHockeyEnv`; `"pettingzoo"` for `tables` copies of `AirHockey` in a `SerialEnv`,
             with the same trajectories but slower: the way to use another PettingZoo game.
-
-    Raises:
-        ValueError: an unknown backend, or a number is out of range.
     """
-    check_counts(tables=tables)
-    check_counts(0, seed=seed)
     if backend == "batched":
         return AirHockeyEnv(tables, round_seconds, frame_skip, table, seed)
     if backend == "pettingzoo":

@@ -192,10 +192,8 @@ class World:
                 values outside are clipped, NaN means stay.
             ticks: of `table.tick` seconds.
             indices: (k,) int64, the tables to step, by default all; the others do not change.
-
-        Raises:
-            ValueError: an argument has another type, shape or range. Compiled code would access foreign memory.
         """
+        # checked, because compiled code would access foreign memory
         if not isinstance(actions, np.ndarray) or actions.shape != (self.n, 2, 2) or actions.dtype.kind != "f":
             raise ValueError(f"actions: {kind_of(actions)}, must be an array of floats of shape {(self.n, 2, 2)}")
         if indices is None:
@@ -223,11 +221,7 @@ OBSERVATION_SIZE, ACTION_SIZE = 12, 2
 
 
 def round_steps(round_seconds: float, table: TableSpec, frame_skip: int = 1) -> int:
-    """Number of steps of `frame_skip` ticks in `round_seconds`.
-
-    Raises:
-        ValueError: less than one step, or a step of less than a tick.
-    """
+    """Number of steps of `frame_skip` ticks in `round_seconds`; raises a ValueError if it is less than one."""
     check_counts(frame_skip=frame_skip)
     check_numbers(round_seconds=round_seconds)
     steps = round(round_seconds / (frame_skip * table.tick))

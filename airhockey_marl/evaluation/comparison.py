@@ -94,11 +94,7 @@ def read_run(folder: Path) -> Run:
 
 
 def check_runs(runs: Sequence[Run]) -> None:
-    """Raise if runs cannot be compared.
-
-    Raises:
-        ValueError: an algorithm has the same seed twice, or runs differ in `frame_skip`; names the folders.
-    """
+    """Raise a ValueError if an algorithm has the same seed twice, or runs differ in `frame_skip`."""
     for one, other in itertools.combinations(runs, 2):
         if (one.algorithm, one.seed) == (other.algorithm, other.seed):
             raise ValueError(f"runs: {one.algorithm} with seed {one.seed} twice, in {one.folder} and {other.folder}")

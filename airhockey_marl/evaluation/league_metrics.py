@@ -169,11 +169,7 @@ def payoff_players(generations: int, every: int) -> list[PlayerId]:
 
 
 def check_league(league: League, matches: pd.DataFrame | None) -> None:
-    """Raise if a league cannot be evaluated.
-
-    Raises:
-        ValueError: it has one generation only, or a player in the matches is not in the league.
-    """
+    """Raise a ValueError if the league has one generation only, or a player in the matches is not in it."""
     if len(league) < 2:
         raise ValueError("a league of one generation has nothing to report, it must have at least 2")
     if matches is not None:

@@ -74,9 +74,6 @@ def write_report(
             not tried.
         frame_skip: ticks for which an action is held, as in the training.
         progress: called with the phase and the fraction of it that is done.
-
-    Raises:
-        ValueError: see `league_metrics.check_league`.
     """
     folder = Path(folder)
     metrics = evaluate_league(league, matches, budget, seed, best_response, frame_skip, progress)

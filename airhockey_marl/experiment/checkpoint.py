@@ -31,7 +31,7 @@ class Checkpoint:
         """Write the state and `facts` (any JSON) atomically."""
         tensors = {"torch_rng": torch.get_rng_state()}
         for name, module in self.modules.items():
-            tensors |= {f"{name}.{key}": tensor for key, tensor in _state_tensors(module).items()}
+            tensors |= {f"{name}.{key}": tensor for key, tensor in state_tensors(module).items()}
         for index, state in enumerate(self.rng_states):
             tensors[f"streams.{index}"] = torch.from_numpy(state.view(np.int64).copy())
         save_tensors(path, tensors, {**facts, "rng": self.rng.bit_generator.state})
@@ -71,7 +71,7 @@ class Checkpoint:
         return facts
 
 
-def _state_tensors(module: nn.Module | Optimizer) -> dict[str, torch.Tensor]:
+def state_tensors(module: nn.Module | Optimizer) -> dict[str, torch.Tensor]:
     """The tensors in the state of a module or an optimizer, by name, on the CPU."""
     if isinstance(module, nn.Module):
         return {name: tensor.cpu() for name, tensor in module.state_dict().items()}
@@ -80,7 +80,7 @@ def _state_tensors(module: nn.Module | Optimizer) -> dict[str, torch.Tensor]:
 
 
 def _load_state(module: nn.Module | Optimizer, tensors: dict[str, torch.Tensor], label: str) -> None:
-    """Load what `_state_tensors` returned; raises ValueError if values are not finite or shapes do not match."""
+    """Load what `state_tensors` returned; raises ValueError if values are not finite or shapes do not match."""
     for name, tensor in tensors.items():
         if tensor.is_floating_point() and not tensor.isfinite().all():
             raise ValueError(f"{label}.{name} has values that are not finite, must have none")

@@ -211,11 +211,7 @@ def report_input_errors() -> Iterator[None]:
 
 
 def require_counts(cfg: DictConfig, *keys: str, least: int = 1) -> None:
-    """Raise if a key, dots for nesting, is not an integer >= `least`.
-
-    Raises:
-        InputError: names the key, its value and what is allowed.
-    """
+    """Raise an InputError if a key, dots for nesting, is not an integer >= `least`."""
     with report_input_errors():
         check_counts(least, **{key: OmegaConf.select(cfg, key) for key in keys})
 
@@ -235,11 +231,7 @@ def require_numbers(
 
 
 def require_device(cfg: DictConfig) -> None:
-    """Raise if torch finds no device for the value of `compute` here.
-
-    Raises:
-        InputError: names it, and what there is.
-    """
+    """Raise an InputError if torch finds no device for the value of `compute` here."""
     import torch  # not above: commands start without it
 
     present = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]

@@ -3,8 +3,8 @@
 A registry maps the names that stand in configurations, such as `trpo`, to what they mean. Ours are filled by their own
 modules, others by plug-ins: modules that register something when they are imported. A plug-in is found through the
 entry-point group `airhockey.plugins` of an installed package, or is named by `--plugin=module` on the command line or
-in the environment variable AIRHOCKEY_PLUGINS (names separated by commas). No configuration names a module or a class, so
-to read, resume or report a run folder imports nothing that the folder asks for.
+in the environment variable AIRHOCKEY_PLUGINS (names separated by commas). No configuration names a module or a class,
+so to read, resume or report a run folder imports nothing that the folder asks for.
 """
 
 import dataclasses

@@ -41,11 +41,7 @@ class League:
         return self.hashes[-1]
 
     def generation(self, index: int) -> TensorDict:
-        """The weights of one generation; negative indices count from the newest.
-
-        Raises:
-            ValueError: there is no such generation.
-        """
+        """The weights of one generation; negative indices count from the newest."""
         if not isinstance(index, int | np.integer) or not -len(self) <= index < len(self):
             raise ValueError(f"generation = {index} must be below {len(self)}, the number of generations")
         return self.snapshots[index]
@@ -65,11 +61,7 @@ class League:
         return policy
 
     def opponent_batch(self, player_ids: Sequence[PlayerId]) -> OpponentBatch:
-        """The players that share a batch of tables, equally many each.
-
-        Raises:
-            ValueError: a player is neither a generation of this league nor a scripted player.
-        """
+        """The players that share a batch of tables, equally many each."""
         for player in player_ids:
             if isinstance(player, str):
                 SCRIPTED_PLAYERS.find(player, "scripted player")
@@ -87,11 +79,7 @@ class League:
 
     @classmethod
     def load(cls, path: Path | str) -> "League":
-        """Read a file written by `save`.
-
-        Raises:
-            ValueError: the file is missing, broken, or its tensors do not fit the architecture in its metadata.
-        """
+        """Read a file written by `save`; a ValueError names the file and what is wrong with it."""
         tensors, metadata = load_tensors(path)
         try:
             return cls.from_stacked_weights(GaussianPolicy.from_architecture(metadata), tensors)
@@ -100,11 +88,7 @@ class League:
 
     @classmethod
     def from_stacked_weights(cls, policy: GaussianPolicy, tensors: dict[str, Tensor]) -> "League":
-        """The league with the weights that `stacked_weights` returned.
-
-        Raises:
-            ValueError: the tensors do not fit the policy; names the first that differs.
-        """
+        """The league with the weights that `stacked_weights` returned; a ValueError if they do not fit the policy."""
         require_weights(policy, {name: tuple(tensor.shape[1:]) for name, tensor in tensors.items()})
         require_finite(tensors)
         league, counts = cls(policy), {name: len(tensor) if tensor.ndim else 0 for name, tensor in tensors.items()}
@@ -124,11 +108,7 @@ def policy_weights(policy: GaussianPolicy) -> TensorDict:
 
 
 def require_weights(policy: GaussianPolicy, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise if names or shapes of weights are not those of the policy's parameters.
-
-    Raises:
-        ValueError: names the first that differs.
-    """
+    """Raise a ValueError if names or shapes of weights are not those of the policy's parameters."""
     expected = {name: tuple(tensor.shape) for name, tensor in policy.named_parameters()}
     for name in sorted(set(expected) | set(shapes)):
         if expected.get(name) != shapes.get(name):
@@ -138,11 +118,7 @@ def require_weights(policy: GaussianPolicy, shapes: Mapping[str, tuple[int, ...]
 
 
 def require_finite(tensors: Mapping[str, Tensor]) -> None:
-    """Raise if a tensor is not floating point or has a value that is not finite.
-
-    Raises:
-        ValueError: names the first such tensor.
-    """
+    """Raise a ValueError if a tensor is not floating point or has a value that is not finite."""
     for name, tensor in sorted(tensors.items()):
         if not tensor.is_floating_point():
             raise ValueError(f"{name} is {tensor.dtype}, must be floating point")

@@ -92,9 +92,6 @@ class RolloutWorkers:
 
     Attributes:
         rng_states: random states of the serves, (tables,) uint64, from which the next rounds start.
-
-    Raises:
-        ValueError: the tables cannot be divided evenly, or the Ray cluster has too few cores.
     """
 
     def __init__(

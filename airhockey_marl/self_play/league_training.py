@@ -65,9 +65,6 @@ class LeagueTraining:
         generation: the number of the last finished generation.
         matches: results of the new generations, the rows of matches.csv.
         seconds: of training so far.
-
-    Raises:
-        ValueError: a setting is out of range; names it.
     """
 
     def __init__(self, cfg: DictConfig) -> None:
@@ -90,11 +87,7 @@ class LeagueTraining:
         self.checkpoint.save(folder / STATE_FILE, {**metadata, "goals": list(self.pool.goals.items())})
 
     def load(self, folder: Path) -> None:
-        """Continue from the files written by `save`.
-
-        Raises:
-            ValueError: a file is missing, broken or of another run.
-        """
+        """Continue from the files written by `save`."""
         league = League.load(folder / LEAGUE_FILE)
         metadata = self.checkpoint.load(folder / STATE_FILE, STATE_METADATA)  # sets all random states, so it is last
         self.generation, self.matches = metadata["generation"], metadata["matches"]

@@ -34,11 +34,7 @@ class SelfPlayTrainer:
 
     @classmethod
     def from_config(cls, cfg: DictConfig) -> "SelfPlayTrainer":
-        """A new policy and all that trains it, from a configuration as `conf/train.yaml`.
-
-        Raises:
-            ValueError: a setting is out of range; names it.
-        """
+        """A new policy and all that trains it, from a configuration as `conf/train.yaml`."""
         policy = GaussianPolicy(cfg.hidden, cfg.inputs).to(cfg.compute)
         learner = ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, cfg.gamma)
         workers = RolloutWorkers(CollectorConfig(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)

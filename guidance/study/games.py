@@ -15,7 +15,7 @@ from torch import Tensor
 
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec
 from airhockey_marl.envs.world import World
-from airhockey_marl.experiment.validation import check_arrays, check_rows
+from airhockey_marl.experiment.validation import check_rows
 from airhockey_marl.players.players import Player
 from guidance.forces.conditions import GuidanceOutput
 from guidance.study.metrics import EXTRA_METRICS, RunningMoments, disagreement, metric_values, new_counters, record
@@ -75,7 +75,6 @@ class GameRunner:
     """
 
     def __init__(self, participants: Participants, opponent: Player, table: TableSpec, serves: np.ndarray) -> None:
-        check_arrays("u", serves=(serves, "n"))
         n = len(serves)
         self.participants, self.opponent, self.tables = participants, opponent, World(n, table)
         self.tables.rng[:] = serves

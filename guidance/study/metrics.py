@@ -20,7 +20,7 @@ from numba import njit
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.puck_path import BLOCKED, NO_OUTCOME, heads_for_goal, shot_outcome
 from airhockey_marl.experiment.registry import Registry
-from airhockey_marl.experiment.validation import check_arrays, check_rows, kind_of
+from airhockey_marl.experiment.validation import check_rows, kind_of
 
 EXTRA_METRICS: Registry[Callable[[int, TableSpec], "ExtraMetric"]] = Registry("metric")
 """Metrics of plug-ins, measured beside the paper's four: called with the number of games and the table."""
@@ -67,7 +67,6 @@ def disagreement(force: np.ndarray, action_change: np.ndarray) -> np.ndarray:
 
     The force's component against the motion; 0 where the hand does not move or moves with the force.
     """
-    check_arrays(force=(force, "... 2"), action_change=(action_change, "... 2"))
     distance = np.hypot(action_change[..., 0], action_change[..., 1])
     along = (force * action_change).sum(-1)
     return np.where(along < 0, -along / np.where(distance > 0, distance, 1.0), 0.0)

@@ -19,7 +19,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.func import grad_and_value
 
-from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors
+from airhockey_marl.experiment.validation import check_counts, check_numbers
 from guidance.user_model.data import Demonstrations, Samples
 from guidance.user_model.loss import prediction_loss
 from guidance.user_model.maml import adapt_stacked, forward, meta_loss, parameters
@@ -166,7 +166,8 @@ def adapt_to_user(
     Raises:
         ValueError: a shape is wrong, or ``lr`` or ``steps`` out of range.
     """
-    check_tensors(observation=(observation, "users ticks 12"), action=(action, "users ticks 2"))
+    if observation.ndim != 3 or action.shape != (*observation.shape[:2], 2):
+        raise ValueError(f"action: shape {tuple(action.shape)}, must be (users, ticks, 2) as observation")
     return adapt_stacked(params, partial(_data_loss, model), (observation, action), lr, steps)
 
 

@@ -3,7 +3,7 @@
 The maintained pieces of it are Hydra's `run_job` and Ray itself; what is here only hands the one to the other.
 hydra-ray-launcher 1.2.2 does the same, but holds every environment to cloudpickle 2 and brings the SDK of AWS.
 
-Hydra finds plugins below folders `hydra_plugins` alone; a command with this launcher adds the folder to the search path, see `experiment.command`.
+Hydra finds plugins below folders `hydra_plugins` alone; `experiment.command` adds this one to the search path.
 """
 
 import logging
