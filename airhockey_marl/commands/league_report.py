@@ -7,7 +7,6 @@ Writes league_report.html, the page, league_report.json, payoff.csv, ratings.csv
 folder, and what TensorBoard reads.
 """
 
-import json
 from pathlib import Path
 
 from hydra.core.hydra_config import HydraConfig
@@ -15,6 +14,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.config import InputError
+from airhockey_marl.experiment.files import load_json
 from airhockey_marl.experiment.progress import ProgressBar
 
 
@@ -65,17 +65,10 @@ def main(cfg: DictConfig) -> None:
 
 
 def read_card(path: Path, hashes: list[str]) -> dict:
-    """The card beside a league, without its list of hashes; {} if there is none, as while a run is not finished.
-
-    Raises:
-        ValueError: it is not JSON, or of another league.
-    """
+    """The card beside a league, without its list of hashes; {} if there is none, as while a run is not finished."""
     if not path.is_file():
         return {}
-    try:
-        card = json.loads(path.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{path} is not JSON: {error}") from error
+    card = load_json(path)
     if card.get("hashes") != hashes:
         raise InputError(f"{path} is the card of another league: its hashes are not those of league.safetensors")
     return {key: value for key, value in card.items() if key != "hashes"} | {"hash_of_last": hashes[-1]}

@@ -10,7 +10,6 @@ Writes sweep_table.csv, a row per run, into its run folder, and prints the table
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -20,7 +19,7 @@ from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors
 from airhockey_marl.experiment.config import InputError
-from airhockey_marl.experiment.files import atomic_write, find_files
+from airhockey_marl.experiment.files import atomic_write, find_files, load_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,68 +31,46 @@ NOT_SETTINGS = ("resume",)  # they say where a run was written, not what it was
 def main(cfg: DictConfig) -> None:
     """Write the table of all runs, and print it averaged over seeds."""
     with report_input_errors():
-        cards = read_cards([cfg.runs] if isinstance(cfg.runs, str) else list(cfg.runs))
-        rows, varied, scores = tabulate(cards)
+        rows, varied, scores = tabulate(read_cards([cfg.runs] if isinstance(cfg.runs, str) else cfg.runs))
         if cfg.by is not None and cfg.by not in scores:
             raise InputError(f"by = {cfg.by} must be one of {', '.join(scores)}")
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
     with atomic_write(folder / "sweep_table.csv") as temporary:
         rows.to_csv(temporary, index=False)
-    print(
-        over_seeds(rows, varied, scores, cfg.by or scores[0]).to_string(index=False, float_format=lambda x: f"{x:.4g}")
-    )
+    table = over_seeds(rows, varied, scores, cfg.by or scores[0])
+    print(table.to_string(index=False, float_format="{:.4g}".format))
     print(f"\ntable of all runs: {folder / 'sweep_table.csv'}")
 
 
 def read_cards(places: Iterable[str]) -> dict[Path, dict[str, Any]]:
-    """The card of every finished run at or below the places, by its folder.
-
-    Raises:
-        ValueError: there is none below a place, or one is not a run's card.
-    """
-    cards = {}
-    for file in find_files(places, CARD):
-        try:
-            card = json.loads(file.read_text(encoding="utf-8"))
-        except json.JSONDecodeError as error:
-            raise ValueError(f"{file} is not JSON: {error}") from error
-        if not isinstance(card, dict) or not isinstance(card.get("config"), dict):
-            raise ValueError(f"{file} is not the card of a run: it has no config")
-        cards[file.parent] = card
+    """The card of every finished run at or below the places, by its folder."""
+    cards = {file.parent: load_json(file) for file in find_files(places, CARD)}
+    for folder, card in cards.items():
+        if not isinstance(card.get("config"), dict):
+            raise ValueError(f"{folder / CARD} is not the card of a run: it has no config")
     return cards
 
 
 def tabulate(cards: Mapping[Path, Mapping[str, Any]]) -> tuple[pd.DataFrame, list[str], list[str]]:
-    """A row per run, the settings that differ between runs, and the scores.
-
-    Scores are the numbers of a card's tables other than its configuration, and its seconds.
-
-    Raises:
-        ValueError: the cards have no scores.
-    """
+    """A row per run, the settings that differ between runs, and the scores: the numbers in a card's other tables."""
     import pandas as pd
 
     from airhockey_marl.experiment.tensorboard import flatten_settings
 
     settings = pd.DataFrame([flatten_settings(card["config"]) for card in cards.values()])
     varied = [name for name in settings if name not in NOT_SETTINGS and settings[name].nunique(dropna=False) > 1]
-    tables = [
-        {
-            name: number
-            for key, table in card.items()
-            if key != "config" and isinstance(table, dict)
-            for name, number in table.items()
-            if isinstance(number, int | float)
-        }
+    results = pd.DataFrame(
+        dict(
+            item for key, table in card.items() if key != "config" and isinstance(table, dict) for item in table.items()
+        )
         | {"seconds": card.get("seconds")}
         for card in cards.values()
-    ]
-    found = pd.DataFrame(tables)
-    scores = [name for name in found if found[name].notna().any()]
+    ).select_dtypes("number")
+    scores = list(results.dropna(axis="columns", how="all"))
     if scores in ([], ["seconds"]):
         raise ValueError("runs: their cards have no scores")
     runs = pd.Series([str(folder) for folder in cards], name="run")
-    return pd.concat([settings[varied], found[scores], runs], axis=1), varied, scores
+    return pd.concat([settings[varied], results[scores], runs], axis=1), varied, scores
 
 
 def over_seeds(rows: pd.DataFrame, varied: list[str], scores: list[str], by: str) -> pd.DataFrame:

@@ -1,13 +1,8 @@
-"""Comparison of algorithms: win rates of their leagues against scripts, their generation 0, and each other.
-
-Of each run, five generations (the first, the last and the quarters between) play scripted players and the run's
-generation 0; and the last generations of all runs play each other. All players sample their actions, as in training.
-"""
+"""Comparison of algorithms by the leagues that they trained; `commands.compare` says which matches are played."""
 
 from __future__ import annotations
 
 import itertools
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -20,6 +15,7 @@ from torch import nn
 
 from airhockey_marl.evaluation.matches import RESULT_COLUMNS, MatchResult, play_matches
 from airhockey_marl.experiment.config import read_config
+from airhockey_marl.experiment.files import load_json
 from airhockey_marl.experiment.plotting import (
     BLUE,
     GRAY,
@@ -70,19 +66,11 @@ class Run:
 
 
 def read_run(folder: Path) -> Run:
-    """Read the folder of a finished training run.
-
-    Raises:
-        ValueError: a file or a setting is missing or broken; names it.
-    """
+    """Read the folder of a finished training run; a ValueError names a file or setting that is missing or broken."""
     for name in (CARD_FILE, CONFIG_FILE):
         if not (folder / name).is_file():
             raise ValueError(f"runs: {folder} is not a finished training run: it has no {name}")
-    try:
-        card = json.loads((folder / CARD_FILE).read_text(encoding="utf-8"))
-        cfg = read_config(folder / CONFIG_FILE)
-    except json.JSONDecodeError as error:
-        raise ValueError(f"runs: {folder}: {error}") from error
+    card, cfg = load_json(folder / CARD_FILE), read_config(folder / CONFIG_FILE)
     keys = ("algorithm.name", "seed", "steps_per_generation", "env.frame_skip")
     settings = [OmegaConf.select(cfg, key) for key in keys]
     missing = [key for key, value in zip(keys, settings, strict=True) if value is None]
@@ -106,11 +94,7 @@ def check_runs(runs: Sequence[Run]) -> None:
 
 
 def compare(runs: Sequence[Run], rounds: int, seed: int) -> pd.DataFrame:
-    """Play all matches.
-
-    Args:
-        runs: checked by `check_runs`.
-        rounds: of each match.
+    """Play all matches, of `rounds` rounds each, between runs that `check_runs` has accepted.
 
     Returns:
         A row per match and run in it: algorithm, seed, generation, steps (of training until this generation), opponent

@@ -36,8 +36,7 @@ from airhockey_marl.experiment.plotting import (
     percent,
     style_axes,
 )
-from airhockey_marl.league.league import League
-from airhockey_marl.league.opponent_batch import PlayerId
+from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.players import rollout, stochastic
 
 if TYPE_CHECKING:

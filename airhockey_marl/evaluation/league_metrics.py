@@ -25,8 +25,7 @@ from airhockey_marl.evaluation.ratings import (
     wins_of_matches,
 )
 from airhockey_marl.evaluation.saves import count_saves
-from airhockey_marl.league.league import League
-from airhockey_marl.league.opponent_batch import PlayerId
+from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.players import Player, stochastic
 from airhockey_marl.players.scripted import REFERENCE_PLAYERS
 

@@ -7,7 +7,7 @@ import torch
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.world import World, round_steps
-from airhockey_marl.league.opponent_batch import OpponentBatch, PlayerId
+from airhockey_marl.league.league import OpponentBatch, PlayerId
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.players import Player, rollout, stochastic
 

@@ -17,8 +17,7 @@ from scipy import stats
 from scipy.sparse.csgraph import connected_components
 
 from airhockey_marl.evaluation.matches import FRAME_SKIP, RESULT_COLUMNS, play_matches
-from airhockey_marl.league.league import League
-from airhockey_marl.league.opponent_batch import PlayerId
+from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.players import stochastic
 
 ELO = 400 / log(10)  # points per unit of log-odds

@@ -37,16 +37,9 @@ class Checkpoint:
         save_tensors(path, tensors, {**facts, "rng": self.rng.bit_generator.state})
 
     def load(self, path: Path, fact_types: Mapping[str, type]) -> dict[str, object]:
-        """Restore the state that `save` wrote, in place.
+        """Restore the state that `save` wrote, in place, and return the facts, which must have these types.
 
-        Args:
-            fact_types: the facts that the file must have, and their types.
-
-        Returns:
-            The facts.
-
-        Raises:
-            ValueError: the file is missing, damaged or of a run with another architecture.
+        A ValueError names a file that is missing, damaged or of a run with another architecture.
         """
         tensors, facts = load_tensors(path)
         groups: dict[str, dict[str, torch.Tensor]] = {name: {} for name in (*self.modules, "streams", "torch_rng")}

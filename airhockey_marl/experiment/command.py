@@ -219,15 +219,10 @@ def require_counts(cfg: DictConfig, *keys: str, least: int = 1) -> None:
 def require_numbers(
     cfg: DictConfig, *keys: str, above: float = 0.0, least: float | None = None, at_most: float = float("inf")
 ) -> None:
-    """Raise if a key, dots for nesting, is not a number > `above`, or >= `least` where it is given, and <= `at_most`.
-
-    Raises:
-        InputError: names the key, its value and what is allowed.
-    """
-    bounds = {"above": above} if least is None else {}
+    """Raise an InputError if a key is not a number > `above`, or >= `least` where it is given, and <= `at_most`."""
+    lower = {"above": above} if least is None else {"least": least}
     with report_input_errors():
-        least = -float("inf") if least is None else least
-        check_numbers(least, **bounds, at_most=at_most, **{key: OmegaConf.select(cfg, key) for key in keys})
+        check_numbers(**lower, at_most=at_most, **{key: OmegaConf.select(cfg, key) for key in keys})
 
 
 def require_device(cfg: DictConfig) -> None:

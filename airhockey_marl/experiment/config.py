@@ -204,9 +204,6 @@ def resumed_config(run: Path, state: str, now: Mapping[str, Any] = MappingProxyT
         state: the name of the file that it resumes from.
         now: the command's own configuration: keys that it does not have are dropped, those that the earlier run did
             not have yet are taken from it.
-
-    Raises:
-        ValueError: it is not a run of this command that has come so far.
     """
     file = run / ".hydra" / "config.yaml"
     if not (run / state).is_file() or not file.is_file():

@@ -48,10 +48,7 @@ def atomic_write(path: Path | str) -> Iterator[Path]:
     """Yield a temporary path beside `path`, and rename it to `path` when the block ends.
 
     A reader sees the old file or the new one, never half of one. If the block raises, the temporary file is removed and
-    `path` keeps its content.
-
-    Raises:
-        WriteError: the disk is full or read-only; names `path`.
+    `path` keeps its content. A `WriteError` names `path` if the disk is full or read-only.
     """
     path = Path(path)
     with name_write_errors(path):
@@ -102,11 +99,21 @@ def write_json(path: Path | str, content: Any) -> None:
     write_text(path, json.dumps(content, indent=2, default=str) + "\n")
 
 
+def load_json(path: Path) -> dict[str, Any]:
+    """The JSON object in a file; a ValueError names the file if it holds anything else."""
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except ValueError as error:  # including UnicodeDecodeError
+        raise ValueError(f"{path} is not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise ValueError(f"{path} holds a {type(content).__name__}, must be a JSON object")
+    return content
+
+
 def find_files(places: Iterable[Path | str], name: str) -> list[Path]:
     """Files of this name at or below the given files, folders or glob patterns, each once.
 
-    Raises:
-        ValueError: there is none at or below one of the places; names the place.
+    A ValueError names a place at or below which there is none.
     """
     paths: dict[Path, Path] = {}
     for place in places:
@@ -155,11 +162,7 @@ def _digest(tensors: Mapping[str, torch.Tensor], facts: Mapping[str, Any]) -> st
 
 
 def load_tensors(path: Path | str) -> tuple[dict[str, torch.Tensor], dict[str, Any]]:
-    """Read what `save_tensors` wrote: the named tensors and the facts.
-
-    Raises:
-        ValueError: the file is missing, truncated, damaged or not in safetensors format.
-    """
+    """Read the tensors and facts of `save_tensors`; a ValueError names a file that is missing or damaged."""
     from safetensors import SafetensorError, safe_open
 
     path = Path(path)

@@ -5,7 +5,6 @@ A run that was killed writes nothing any more. That it is over is seen from its 
 
 import json
 import os
-import re
 import socket
 import sys
 import time
@@ -108,24 +107,9 @@ def runs_below(outputs: Path) -> list[RunRecord]:
         folder = Path(place)
         if RECORD in files or (".hydra" in folders and (folder / ".hydra" / "config.yaml").is_file()):
             run = read_run(folder)
-            found.append(run if run.command else RunRecord(folder, _command_of(folder)))
+            found.append(run if run.command else RunRecord(folder, "?"))
         folders[:] = sorted(name for name in folders if not name.startswith("."))
     return found
-
-
-def _command_of(folder: Path) -> str:
-    """What Hydra wrote down of a run that is older than run.json."""
-    name = re.search(r"(?m)^    config_name: (\w+)$", _beginning(folder / ".hydra" / "hydra.yaml"))
-    return name.group(1) if name else "?"
-
-
-def _beginning(file: Path) -> str:
-    """A file's first megabyte, or nothing: of a folder of anybody's, where yaml could be without end."""
-    try:
-        with file.open(encoding="utf-8", errors="replace") as handle:
-            return handle.read(1_000_000)
-    except OSError:
-        return ""
 
 
 class RunRecorder(Callback):
@@ -171,12 +155,7 @@ class RunRecorder(Callback):
 
 
 def note_headline(folder: Path, headline: str) -> None:
-    """Write the numbers that the running job is known by, in a few words, into run.json, which `airhockey runs` lists.
-
-    Args:
-        folder: of the run, or of the one that it resumes. Without a run.json, as for a job that is not recorded,
-            nothing is written.
-    """
+    """Write the numbers that a job is known by, in a few words, into its run.json, if it has one."""
     run = read_run(folder)
     if run.command:
         replace(run, headline=headline).write()
@@ -213,21 +192,17 @@ def _folders(config: DictConfig) -> list[Path]:
 
 
 def acquire_lock(folder: Path, name: str) -> FileLock:
-    """Lock a folder for this process, until the lock is released or the process ends.
+    """Lock an existing folder for this process, until the lock is released or the process ends.
 
-    Args:
-        folder: it must exist.
-        name: of the folder, in the error message.
-
-    Raises:
-        ValueError: another process holds the lock; says which.
-        OSError: the folder cannot be written to.
+    A ValueError, with `name` for the folder, says which other process holds the lock.
     """
     lock = FileLock(folder / ".lock", timeout=0, thread_local=False)
     try:
         lock.acquire()
     except Timeout:
-        pid = _beginning(folder / ".lock").strip() or "unknown"
+        pid = "unknown"
+        with suppress(OSError):
+            pid = (folder / ".lock").read_text(encoding="ascii").strip() or pid
         raise ValueError(f"{name} = {folder} is in use by process {pid}; one at a time can have it") from None
     with suppress(OSError):  # on a full disk, or on Windows, the lock holds without the number
         Path(lock.lock_file).write_text(f"{os.getpid()}\n", encoding="ascii")
@@ -236,12 +211,7 @@ def acquire_lock(folder: Path, name: str) -> FileLock:
 
 @contextmanager
 def lock_run_folder(folder: Path, name: str) -> Iterator[None]:
-    """Hold the lock of a run folder, and remove what a killed process has left half written in it.
-
-    Raises:
-        InputError: another process has it.
-        OSError: it cannot be written to; the message names it.
-    """
+    """Hold the lock of a run folder, and remove what a killed process has left half written in it."""
     with report_input_errors(), name_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         lock = acquire_lock(folder, name)

@@ -38,13 +38,6 @@ def flatten_settings(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any
     return leaves
 
 
-class _CardDumper(yaml.SafeDumper):
-    """Writes lists in one line, as the yaml files of `conf/` do."""
-
-
-_CardDumper.add_representer(list, lambda dumper, items: dumper.represent_sequence("tag:yaml.org,2002:seq", items, True))
-
-
 def code_block(text: str) -> str:
     """Markdown that shows a text verbatim."""
     return "".join(f"    {line}\n" for line in text.splitlines())
@@ -64,7 +57,7 @@ def log_run_header(writer: SummaryWriter, cfg: DictConfig, tags: Mapping[str, st
     }
     writer.add_custom_scalars(charts)
     tree = OmegaConf.to_container(cfg, resolve=True)
-    writer.add_text("card", code_block(yaml.dump(tree, Dumper=_CardDumper, sort_keys=False, width=100)))
+    writer.add_text("card", code_block(yaml.safe_dump(tree, sort_keys=False, width=100, default_flow_style=None)))
     texts = {**tags, **COMMON_TAGS}
     rows = "".join(f"| `{tag.removesuffix('/text_summary')}` | {text} |\n" for tag, text in texts.items())
     writer.add_text("names", f"| name | what it is |\n|---|---|\n{rows}")

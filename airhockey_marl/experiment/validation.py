@@ -30,7 +30,7 @@ def check_counts(least: int = 1, /, **values: int) -> None:
             raise ValueError(f"{name} = {value!r} must be a whole number of at least {least}")
 
 
-def check_numbers(least: float = -inf, /, *, above: float = -inf, at_most: float = inf, **values: float) -> None:
+def check_numbers(least: float = -inf, *, above: float = -inf, at_most: float = inf, **values: float) -> None:
     """Raise a ValueError if a value is not a finite number >= `least`, > `above` and <= `at_most`."""
     for name, value in values.items():
         number = isinstance(value, Real) and not isinstance(value, bool) and isfinite(value)

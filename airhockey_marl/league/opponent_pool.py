@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from airhockey_marl.league.league import League
-from airhockey_marl.league.opponent_batch import OpponentBatch, PlayerId
+from airhockey_marl.league.league import League, OpponentBatch, PlayerId
 from airhockey_marl.league.opponent_sampling import OpponentSampler, PoolStatistics
 
 

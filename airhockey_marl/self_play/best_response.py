@@ -11,8 +11,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.algorithms.reward_shaping import shaping_strength
 from airhockey_marl.evaluation.matches import MatchResult, play_opponents
-from airhockey_marl.league.league import League
-from airhockey_marl.league.opponent_batch import PlayerId
+from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.self_play.collectors import SINGLE
 from airhockey_marl.self_play.trainer import SelfPlayTrainer
 

@@ -17,7 +17,7 @@ from torchrl.envs import EnvBase
 
 from airhockey_marl.envs.torchrl_env import make_env, serve_rng_states
 from airhockey_marl.experiment.parallel import LOCAL_CLUSTER, join_ray_cluster
-from airhockey_marl.league.opponent_batch import OpponentBatch, TableSlice
+from airhockey_marl.league.league import OpponentBatch, TableSlice
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.self_play.two_player_policy import TwoPlayerPolicy
 

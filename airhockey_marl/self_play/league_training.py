@@ -20,8 +20,7 @@ from airhockey_marl.experiment.command import InputError, report_input_errors
 from airhockey_marl.experiment.files import name_write_errors, write_text
 from airhockey_marl.experiment.plotting import png_bytes
 from airhockey_marl.experiment.tensorboard import add_picture, log_run_header, open_writer, tensorboard_dir
-from airhockey_marl.league.league import League
-from airhockey_marl.league.opponent_batch import PlayerId
+from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.league.opponent_pool import OpponentPool
 from airhockey_marl.league.opponent_sampling import OPPONENT_SAMPLERS
 from airhockey_marl.players.networks import GaussianPolicy

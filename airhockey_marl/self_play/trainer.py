@@ -10,7 +10,7 @@ from tensordict import TensorDictBase
 from airhockey_marl.algorithms.base import ALGORITHMS, Learner
 from airhockey_marl.algorithms.divergence import require_finite_modules, require_sound_metrics
 from airhockey_marl.algorithms.reward_shaping import RewardShaping
-from airhockey_marl.league.opponent_batch import OpponentBatch
+from airhockey_marl.league.league import OpponentBatch
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.self_play.collectors import CollectorConfig, RolloutWorkers
 from airhockey_marl.self_play.two_player_policy import LEARNER, learner_batch

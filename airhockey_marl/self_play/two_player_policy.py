@@ -6,7 +6,7 @@ from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 
 from airhockey_marl.algorithms.reward_shaping import RewardShaping
-from airhockey_marl.league.opponent_batch import TableSlice
+from airhockey_marl.league.league import TableSlice
 from airhockey_marl.players.networks import GaussianPolicy
 
 LEARNER, OPPONENT = "left", "right"  # either side observes the table from its own end: one side is enough to learn on

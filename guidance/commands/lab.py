@@ -23,6 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.config import InputError
+from airhockey_marl.experiment.files import load_json
 from airhockey_marl.experiment.registry import construct
 
 if TYPE_CHECKING:
@@ -176,7 +177,6 @@ def withdraw(folder: Path, label: str) -> None:
         InputError: there are no records, or nobody of this label.
     """
     from guidance.sessions.bids import Records
-    from guidance.sessions.json_files import load_json
 
     with report_input_errors():
         if not (folder / "manifest.json").is_file():

@@ -22,10 +22,10 @@ from typing import Any
 import pandas as pd
 from filelock import FileLock
 
-from airhockey_marl.experiment.files import fsync_dir, name_write_errors, remove_temporary_files
+from airhockey_marl.experiment.files import fsync_dir, load_json, name_write_errors, remove_temporary_files
 from airhockey_marl.experiment.run_folder import acquire_lock
 from guidance.sessions.game import OBJECTIVE, RESULTS, load_games
-from guidance.sessions.json_files import load_json, save_json, save_text
+from guidance.sessions.json_files import save_json, save_text
 from guidance.sessions.participant import Participant, check_label
 from guidance.sessions.recording import Recording, recover_games
 from guidance.simulated_users.ratings import RATINGS

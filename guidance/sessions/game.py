@@ -9,8 +9,9 @@ from typing import Any
 
 import pandas as pd
 
+from airhockey_marl.experiment.files import load_json
 from guidance.forces.conditions import GuidanceOutput
-from guidance.sessions.json_files import load_json, save_json
+from guidance.sessions.json_files import save_json
 from guidance.simulated_users.ratings import RATINGS
 from guidance.statistics.design import METRICS
 

@@ -19,21 +19,6 @@ def save_json(path: Path, content: Any) -> None:
     save_text(path, json.dumps(content, indent=2, default=str, allow_nan=False) + "\n")
 
 
-def load_json(path: Path) -> dict[str, Any]:
-    """The JSON object in a file.
-
-    Raises:
-        ValueError: it holds anything else; the message names the file.
-    """
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except ValueError as error:  # including UnicodeDecodeError
-        raise ValueError(f"{path} is not JSON: {error}") from error
-    if not isinstance(content, dict):
-        raise ValueError(f"{path} holds a {type(content).__name__}, must be a JSON object")
-    return content
-
-
 def rename_file(source: Path, target: Path) -> None:
     """Rename a file durably."""
     with name_write_errors(target):

@@ -8,8 +8,9 @@ from numbers import Integral
 from pathlib import Path
 from typing import Any, Protocol
 
+from airhockey_marl.experiment.files import load_json
 from guidance.sessions.game import UNSCORED, Game, load_games
-from guidance.sessions.json_files import load_json, save_json
+from guidance.sessions.json_files import save_json
 from guidance.sessions.recording import Columns, Recording, recover_games
 
 NOT_LABELS = ("na", "nan", "null", "none")  # which programs read as a missing value

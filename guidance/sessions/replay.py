@@ -5,9 +5,8 @@ from typing import Any
 
 import pandas as pd
 
-from airhockey_marl.experiment.files import find_files
+from airhockey_marl.experiment.files import find_files, load_json
 from guidance.sessions.game import load_games
-from guidance.sessions.json_files import load_json
 from guidance.study.tick_log import read_ticks
 
 

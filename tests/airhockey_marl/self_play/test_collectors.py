@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from airhockey_marl.league.league import League
-from airhockey_marl.league.opponent_batch import TableSlice
+from airhockey_marl.league.league import League, TableSlice
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.self_play.collectors import MULTISYNC, RAY, SINGLE, CollectorConfig, RolloutWorkers
 from airhockey_marl.self_play.two_player_policy import GaussianSampling
