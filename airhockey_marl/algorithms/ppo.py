@@ -55,7 +55,6 @@ class PPOConfig:
         check_numbers(0.0, **labeled(self, "algorithm", "entropy_coef"))
 
     def learner(self, policy: nn.Module, gamma: float) -> "PPOLearner":
-        """A learner for `policy`, observations to (mean, STD); `gamma` is per decision."""
         return PPOLearner(self, policy, gamma)
 
 
@@ -81,7 +80,6 @@ class PPOLearner:
         self.optimizer = torch.optim.Adam(self.parameters, lr=config.lr, eps=1e-5, fused=True)
 
     def modules(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
-        """What a checkpoint must contain beside the policy."""
         return {"critic": self.critic, "optimizer": self.optimizer}
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:

@@ -74,7 +74,6 @@ class SACConfig:
         check_hidden(self.q_hidden, "algorithm.q_hidden")
 
     def learner(self, policy: nn.Module, gamma: float) -> "SACLearner":
-        """A learner for `policy`, observations to (mean, STD); `gamma` is per decision."""
         return SACLearner(self, policy, gamma)
 
 
@@ -184,7 +183,6 @@ class SACLearner:
         self.optimizer = torch.optim.Adam(groups, fused=True)
 
     def modules(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
-        """What a checkpoint must contain beside the policy."""
         return {
             "replay_buffer": self.replay_buffer,
             "q": self.q,

@@ -122,7 +122,6 @@ class TRPOConfig:
             raise ValueError(f"algorithm.line_search_shrink = {self.line_search_shrink} must be between 0 and 1")
 
     def learner(self, policy: nn.Module, gamma: float) -> "TRPOLearner":
-        """A learner for `policy`, observations to (mean, STD); `gamma` is per decision."""
         return TRPOLearner(self, policy, gamma)
 
 
@@ -135,7 +134,6 @@ class TRPOLearner:
         self.optimizer = torch.optim.Adam(self.critic.parameters(), lr=config.critic_lr, fused=True)
 
     def modules(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
-        """What a checkpoint must contain beside the policy."""
         return {"critic": self.critic, "optimizer": self.optimizer}
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:

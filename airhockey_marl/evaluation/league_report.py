@@ -183,11 +183,7 @@ def page(
     budget: EvaluationBudget,
     seed: int,
 ) -> str:
-    """The page, from templates/league_report.html.
-
-    Args:
-        pictures: by file name.
-    """
+    """The page, from templates/league_report.html; `pictures` by file name."""
     ratings, row_of_last = metrics.ratings.set_index("member"), metrics.player_ids.index(metrics.last)
     generations = ratings.loc[generations_of(metrics.player_ids), "rating"]
     win_rates = {

@@ -216,13 +216,8 @@ def ratings_of_matches(matches: pd.DataFrame, reference: PlayerId | None = None)
 
     Returns:
         Columns member, rating, low, high: the generations in their order, then the scripted players by name.
-
-    Raises:
-        ValueError: there are no matches.
     """
     player_ids, wins = wins_of_matches(matches)
-    if not player_ids:
-        raise ValueError("no matches to rate")
     return ratings_table(player_ids, wins, player_ids[0] if reference is None else reference)
 
 
@@ -246,11 +241,7 @@ def wins_of_matches(matches: pd.DataFrame) -> tuple[list[PlayerId], np.ndarray]:
 
 
 def read_matches(path: Path | str) -> pd.DataFrame:
-    """Read a matches.csv: columns `MATCH_COLUMNS`; opponents are numbers of generations or names of scripted players.
-
-    Raises:
-        ValueError: the file is missing, has other columns, or a value is not a count >= 0.
-    """
+    """Read a matches.csv: columns `MATCH_COLUMNS`; opponents are numbers of generations or names of scripted players."""
     try:
         matches = pd.read_csv(path, dtype={"opponent": "str"})
     except FileNotFoundError:

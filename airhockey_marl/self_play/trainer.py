@@ -52,9 +52,6 @@ class SelfPlayTrainer:
 
         Returns:
             The mean metrics of the updates, and the goals scored and conceded against each opponent (k, 2).
-
-        Raises:
-            FloatingPointError: training has diverged, see `algorithms.divergence`.
         """
         device = next(self.policy.parameters()).device
         # every generation starts new rounds: it depends on league, learner and random states only, which are saved

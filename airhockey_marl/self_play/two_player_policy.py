@@ -34,30 +34,20 @@ class GaussianSampling(nn.Module):
         return mean + std * noise[self.tables.first : self.tables.last]
 
 
-class SwappablePolicy(nn.Module):
-    """A policy that can be replaced while a collector runs."""
-
-    def __init__(self, policy: nn.Module) -> None:
-        super().__init__()
-        self.policy = policy
-
-    def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
-        return self.policy(observation)
-
-
 class TwoPlayerPolicy(TensorDictSequential):
-    """The policy of a worker's tables: a copy of the learner on the left, replaceable opponents on the right."""
+    """The policy of a worker's tables: a copy of the learner on the left, opponents on the right.
+
+    Attributes:
+        opponents: its `policy` can be replaced while a collector runs.
+    """
 
     def __init__(self, learner: GaussianPolicy, tables: TableSlice) -> None:
-        opponents = SwappablePolicy(learner)
-        super().__init__(make_actor(LEARNER, learner, tables), make_actor(OPPONENT, opponents, tables))
-        self.learner, self.opponents = learner, opponents
-
-
-def make_actor(agent: str, policy: nn.Module, tables: TableSlice | None = None) -> TensorDictModule:
-    """The actor that samples an agent's actions from a policy; see `GaussianSampling` for `tables`."""
-    sampling = GaussianSampling(policy, tables)
-    return TensorDictModule(sampling, in_keys=[(agent, "observation")], out_keys=[(agent, "action")])
+        left, right = GaussianSampling(learner, tables), GaussianSampling(learner, tables)
+        super().__init__(
+            TensorDictModule(left, in_keys=[(LEARNER, "observation")], out_keys=[(LEARNER, "action")]),
+            TensorDictModule(right, in_keys=[(OPPONENT, "observation")], out_keys=[(OPPONENT, "action")]),
+        )
+        self.learner, self.opponents = learner, right
 
 
 def learner_batch(

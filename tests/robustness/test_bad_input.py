@@ -10,7 +10,6 @@ from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import LEFT, TableSpec, check_table
 from airhockey_marl.envs.torchrl_env import make_env
 from airhockey_marl.envs.world import World
-from airhockey_marl.evaluation.ratings import bradley_terry
 from airhockey_marl.league.league import League
 from airhockey_marl.league.opponent_sampling import DeltaUniform
 from airhockey_marl.players.inference import PerRowInference
@@ -18,7 +17,7 @@ from airhockey_marl.players.networks import Critic, GaussianPolicy
 from guidance.forces.equations import combine, lookahead_state, similarity_weight, spring_force, uncertainty_weight
 from guidance.haptics.safety import SafetyLimits
 from guidance.simulated_users import SimulatedUsers, personal_streams, sample_people
-from guidance.study.metrics import RunningMoments, disagreement
+from guidance.study.metrics import RunningMoments
 from guidance.user_model.data import Demonstrations
 from guidance.user_model.loss import prediction_loss
 from guidance.user_model.maml import adapt, forward_stacked, parameters
@@ -37,8 +36,6 @@ PEOPLE = SimulatedUsers(sample_people(2, 0), personal_streams(2, 0))
 TABLE = [
     # tables: compiled code asks nothing, and wrote over other memory until the process was no more
     (lambda: World(0), r"tables = 0 must be at least 1"),
-    (lambda: World(2.5), r"tables = 2\.5 must be at least 1"),
-    (lambda: World("2"), r"tables = '2' must be at least 1"),
     (
         lambda: TWO.step(ACTIONS[:1]),
         r"actions: float64 of shape \(1, 2, 2\), must be an array of floats",
@@ -49,7 +46,6 @@ TABLE = [
         lambda: TWO.step(torch.zeros(2, 2, 2)),
         r"actions: torch\.float32 of shape \(2, 2, 2\), must be an array of floats",
     ),
-    (lambda: TWO.step("left"), r"actions: str, must be an array of floats"),
     (lambda: TWO.step(ACTIONS, indices=np.array([2])), r"indices: from 2 to 2, must be from 0 to 1"),
     (lambda: TWO.step(ACTIONS, indices=np.array([-1, 0])), r"indices: from -1 to 0"),
     (lambda: TWO.step(ACTIONS, indices=np.array([0.0])), r"indices: float64 of shape \(1,\), must be int64"),
@@ -78,8 +74,6 @@ TABLE = [
     (lambda: League(POLICY).generation(0), r"generation = 0 must be below 0"),
     (lambda: League(POLICY).opponent_batch(["goalie"]), r"scripted player = 'goalie' must be one of"),
     (lambda: DeltaUniform(1.0), r"delta = 1\.0 must be at least 0 and below 1"),
-    (lambda: bradley_terry(np.zeros((2, 3)), 0), r"wins: shape \(2, 3\), must be \(k, k\)"),
-    (lambda: bradley_terry(np.array([[0, -1], [1, 0]]), 0), r"wins = -1 must be counts of at least 0"),
     (
         lambda: PerRowInference(POLICY)(SEEN[0, 0].numpy(), np.arange(5)),
         r"model_index: from 0 to 4, must be from 0 to 0",
@@ -96,7 +90,6 @@ TABLE = [
     (lambda: similarity_weight(VECTOR, torch.zeros(5, 2)), r"second: shape \(5, 2\), must go with \(3, 2\) of first"),
     (lambda: uncertainty_weight(VECTOR, 0.5, 0.1), r"low, high: 0\.5, 0\.1, must satisfy"),
     (lambda: SafetyLimits(force=math.inf), r"safety\.force = inf must be a finite number above 0"),
-    (lambda: disagreement(np.zeros((3, 2)), np.zeros((4, 2))), r"action_change: shape \(4, 2\), must be \(3, 2\)"),
     (lambda: RunningMoments(2).add(np.array([2]), np.ones(1)), r"games: from 2 to 2, must be from 0 to 1"),
     (lambda: PEOPLE.step(np.zeros((2, 12)), np.zeros((2, 2)), ROWS + 1), r"rows: from 1 to 2, must be from 0 to 1"),
     # learning

@@ -119,10 +119,6 @@ def test_unconnected_players_have_wide_intervals():
     assert (rated.high - rated.low)[1] < 100 and ((rated.high - rated.low)[2:] > 1000).all()
     with pytest.raises(ValueError, match=r"players \[2, 3\] are not connected with player 0 by decided rounds"):
         bradley_terry(wins, 0, prior_rounds=0.0)
-    with pytest.raises(ValueError, match="must be counts"):
-        bradley_terry(-wins, 0)
-    with pytest.raises(ValueError, match=r"wins: shape \(3, 4\), must be \(k, k\)"):
-        bradley_terry(wins[:3], 0)
 
 
 def test_goodness_of_fit_distinguishes_cycles_from_chance():
@@ -201,8 +197,6 @@ def test_ratings_of_matches_are_of_all_players():
     truth = np.array([*(40.0 * g for g in range(10)), -50.0, 300.0])
     assert ((rated["low"] <= truth) & (truth <= rated["high"])).mean() > 0.7
     assert (ratings_of_matches(matches_of(), "striker").set_index("member").loc["striker"] == 0).all()
-    with pytest.raises(ValueError, match="no matches"):
-        ratings_of_matches(matches_of().head(0))
 
 
 def test_order_of_the_matches_does_not_matter():
