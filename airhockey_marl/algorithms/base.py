@@ -40,7 +40,5 @@ class Algorithm(Protocol):
 
 
 ALGORITHMS: Registry[type[Algorithm]] = Registry(
-    "algorithm",
-    {name: f"airhockey_marl.algorithms.{name}" for name in ("trpo", "ppo", "sac")},
-    group="algorithm",
+    "algorithm", {name: f"airhockey_marl.algorithms.{name}" for name in ("trpo", "ppo", "sac")}, group="algorithm"
 )

@@ -156,9 +156,7 @@ class SACLearner:
         self.config, self.policy, self.replay_buffer = config, policy, ReplayBuffer(config.capacity, device)
         networks = [
             TensorDictModule(
-                QNetwork(config.q_hidden).to(device),
-                in_keys=["observation", "action"],
-                out_keys=["state_action_value"],
+                QNetwork(config.q_hidden).to(device), in_keys=["observation", "action"], out_keys=["state_action_value"]
             )
             for _ in range(2)
         ]

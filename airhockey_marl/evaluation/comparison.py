@@ -16,17 +16,7 @@ from torch import nn
 from airhockey_marl.evaluation.matches import RESULT_COLUMNS, MatchResult, play_matches
 from airhockey_marl.experiment.config import read_config
 from airhockey_marl.experiment.files import load_json
-from airhockey_marl.experiment.plotting import (
-    BLUE,
-    GRAY,
-    GREEN,
-    ORANGE,
-    PINK,
-    SKY,
-    YELLOW,
-    label_panel,
-    new_figure,
-)
+from airhockey_marl.experiment.plotting import BLUE, GRAY, GREEN, ORANGE, PINK, SKY, YELLOW, label_panel, new_figure
 from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.league.league import League
 from airhockey_marl.players.players import stochastic

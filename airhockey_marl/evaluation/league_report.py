@@ -46,7 +46,7 @@ LAYOUT = {
         "ratings, in Elo points": [r"rating/.*"],
         "STD by situation, in units of action": [r"std/.*"],
         "share of shots saved": [r"save_rate/.*"],
-    },
+    }
 }
 
 
@@ -177,11 +177,7 @@ def outcome(low: float, high: float, threshold: float = 0.0) -> str:
 
 
 def page(
-    metrics: LeagueMetrics,
-    pictures: Mapping[str, bytes],
-    card: Mapping[str, Any],
-    budget: EvaluationBudget,
-    seed: int,
+    metrics: LeagueMetrics, pictures: Mapping[str, bytes], card: Mapping[str, Any], budget: EvaluationBudget, seed: int
 ) -> str:
     """The page, from templates/league_report.html; `pictures` by file name."""
     ratings, row_of_last = metrics.ratings.set_index("member"), metrics.player_ids.index(metrics.last)

@@ -241,7 +241,7 @@ def wins_of_matches(matches: pd.DataFrame) -> tuple[list[PlayerId], np.ndarray]:
 
 
 def read_matches(path: Path | str) -> pd.DataFrame:
-    """Read a matches.csv: columns `MATCH_COLUMNS`; opponents are numbers of generations or names of scripted players."""
+    """Read a matches.csv: columns `MATCH_COLUMNS`; opponents are generations or names of scripted players."""
     try:
         matches = pd.read_csv(path, dtype={"opponent": "str"})
     except FileNotFoundError:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 import json
+import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -118,4 +119,11 @@ def open_writer(folder: Path, purge_step: int | None = None) -> SummaryWriter:
     """
     from torch.utils.tensorboard import SummaryWriter
 
+    threading.excepthook = _report_thread_error
     return SummaryWriter(str(folder), purge_step=purge_step)
+
+
+def _report_thread_error(args: threading.ExceptHookArgs) -> None:
+    """Print the traceback of a thread, except of TensorBoard's, whose OSError the next write or flush raises again."""
+    if not (isinstance(args.exc_value, OSError) and type(args.thread).__module__.startswith("tensorboard.")):
+        threading.__excepthook__(args)

@@ -50,7 +50,7 @@ LAYOUT = {
         "KL divergence of an update, and gain": [r"update/(kl|gain)$"],
         "share of TRPO's full step": [r"update/step$"],
         "loss of the critic": [r"update/critic_loss$"],
-    },
+    }
 }
 
 

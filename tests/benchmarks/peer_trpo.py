@@ -95,7 +95,7 @@ class PeerPolicy(MlpPolicy):
 def peer(cfg: DictConfig, tables: int, batch: int, sub_sampling: int) -> "TRPO":
     """The peer after a first update, which compiles and allocates."""
     opponent = stochastic(GaussianPolicy(cfg.hidden).requires_grad_(False), torch.Generator().manual_seed(cfg.seed))
-    networks = {"pi": list(cfg.hidden), "vf": list(cfg.algorithm.critic.hidden)}
+    networks = {"pi": list(cfg.hidden), "vf": list(cfg.algorithm.critic_hidden)}
     model = TRPO(
         PeerPolicy,
         TablesVecEnv(tables, cfg.env.round_seconds, cfg.env.frame_skip, opponent),

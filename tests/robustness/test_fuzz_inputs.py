@@ -26,16 +26,12 @@ from airhockey_marl.experiment.config import read_config, resumed_config
 from airhockey_marl.experiment.files import load_tensors, save_tensors
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
-from guidance.haptics.safety import Safety, SafetyLimits
 from guidance.statistics.design import CONDITIONS, METRICS
 from guidance.statistics.report import write_report
 from guidance.statistics.runs import merge
 from guidance.study.models import Models, load_user_model
 from tests import ROOT
 from tests.robustness.fuzz_inputs import ACCEPTED, KINDS, REFUSED, Trap, fuzz
-
-LIMITS = SafetyLimits()
-NUMBERS = st.floats(allow_nan=True, allow_infinity=True)
 
 
 def test_broken_input_is_refused():
@@ -66,16 +62,6 @@ def test_random_bytes_are_no_model(content):
             load_user_model(path)
         finally:
             path.unlink()
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.lists(st.tuples(*[NUMBERS] * 7, st.booleans(), NUMBERS), max_size=12))
-def test_any_requested_force_is_bounded(steps):
-    layer = Safety(LIMITS)
-    for fx, fy, age, px, py, vx, vy, held, seconds in steps:
-        x, y = layer.filter((fx, fy), age, (px, py), (vx, vy), held, seconds)
-        assert np.isfinite([x, y]).all() and np.hypot(x, y) <= LIMITS.force
-        assert layer.fault is None or (x, y) == (0.0, 0.0)
 
 
 def a_model(path: Path, facts: dict | None = None, **changes: torch.Tensor) -> Path:

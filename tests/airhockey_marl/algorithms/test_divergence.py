@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from tensordict import TensorDict
 
 from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.algorithms.divergence import name_divergence, require_finite_modules, require_sound_metrics
@@ -20,6 +19,7 @@ from airhockey_marl.players.networks import GaussianPolicy
 from guidance.commands import meta_train
 from guidance.user_model.data import Demonstrations
 from guidance.user_model.training import train_maml, train_supervised
+from tests.airhockey_marl.algorithms.test_ppo import one_step_rounds
 
 SOUND = {"kl": 0.01, "std": 0.3, "critic_loss": 1.0}
 
@@ -69,40 +69,21 @@ def test_message_names_the_phase_and_the_checkpoint(tmp_path):
             raise FloatingPointError("gone")
 
 
-def batch_with(reward: float) -> TensorDict:
-    """A batch of transitions, one of them with this reward."""
-    generator = torch.Generator().manual_seed(0)
-    shape = (4, 32)
-    batch = TensorDict(
-        {
-            "observation": torch.randn(*shape, 12, generator=generator),
-            "action": torch.randn(*shape, 2, generator=generator).clamp(-1, 1),
-            "next": {
-                "observation": torch.randn(*shape, 12, generator=generator),
-                "reward": torch.zeros(*shape, 1),
-                **{name: torch.zeros(*shape, 1, dtype=torch.bool) for name in ("done", "terminated", "truncated")},
-            },
-        },
-        shape,
-    )
-    batch["next", "reward"][1, 5] = reward
-    return batch
-
-
 @pytest.mark.parametrize("algorithm", ["trpo", "ppo", "sac"])
 def test_every_algorithm_detects_a_nan_reward(algorithm):
     with initialize_config_dir(str(CONF), version_base="1.3"):
-        overrides = [f"algorithm={algorithm}", "+preset/train=smoke"]
-        cfg = compose("train", overrides=overrides)
+        cfg = compose("train", overrides=[f"algorithm={algorithm}", "+preset/train=smoke"])
     if algorithm == "sac":
         cfg.algorithm.updates, cfg.algorithm.batch_size, cfg.algorithm.capacity = 20, 64, 1000
     torch.manual_seed(0)
     policy = GaussianPolicy([8], "paddle")
     learner = ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, 0.99)
-    require_sound_metrics(learner.update(batch_with(0.0)))
+    batch = one_step_rounds(0.0, True)
+    require_sound_metrics(learner.update(batch.clone()))
     require_finite_modules({"policy": policy, **learner.modules()})
+    batch["next", "reward"][1, 5] = math.nan
     with pytest.raises((FloatingPointError, ValueError), match=r"nan|not finite"):
-        require_sound_metrics(learner.update(batch_with(math.nan)))
+        require_sound_metrics(learner.update(batch))
         require_finite_modules({"policy": policy, **learner.modules()})
 
 

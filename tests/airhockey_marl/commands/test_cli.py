@@ -64,14 +64,9 @@ def test_train_writes_a_league_a_card_and_what_tensorboard_reads(trained):
     assert list(folder.glob("tensorboard/events*"))
 
 
-def test_train_gives_the_same_weights_for_the_same_seed(trained, tmp_path):
-    smoke("airhockey_marl.train", f"hydra.run.dir={tmp_path}")
-    first, second = (json.loads((f / "card.json").read_text()) for f in (trained["league"].parent, tmp_path))
-    assert first["hashes"] == second["hashes"]
-
-
-def test_train_learns_from_pettingzoo_what_it_learns_from_the_batch(trained, tmp_path):
-    smoke("airhockey_marl.train", "env=pettingzoo", f"hydra.run.dir={tmp_path}")
+@pytest.mark.parametrize("env", ["batched", "pettingzoo"])
+def test_train_gives_the_same_weights_for_the_same_seed_in_either_environment(trained, tmp_path, env):
+    smoke("airhockey_marl.train", f"env={env}", f"hydra.run.dir={tmp_path}")
     first, second = (json.loads((f / "card.json").read_text()) for f in (trained["league"].parent, tmp_path))
     assert first["hashes"] == second["hashes"]
 
@@ -100,13 +95,8 @@ def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, how, draw
 
 def test_meta_train_killed_and_resumed_ends_like_one_never_killed(trained, tmp_path):
     """SIGKILL in the first training, and resume; then the weights, the scores and the scalars are the same."""
-    few = [
-        "+preset=smoke",
-        f"models.opponents={trained['league']}",
-        "opponent=1",
-        "maml.epochs=6",
-        "supervised.epochs=3",
-    ]
+    few = ["+preset=smoke", f"models.opponents={trained['league']}", "opponent=1"]
+    few += ["maml.epochs=6", "supervised.epochs=3"]
     whole = start("guidance", "meta_train", *few, f"hydra.run.dir={tmp_path}/whole")
     assert whole.returncode == 0, whole.stderr
     killed = kill_at_the_first_checkpoint(tmp_path / "killed", "guidance", "meta_train", *few)
@@ -225,13 +215,8 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
     ("name", "argument", "message"),
     [
         ("evaluate", "condition=oahg_utt", "condition = oahg_utt must be one of combhg_ua, "),
-        ("evaluate", "condition=nhg,oahgg", "condition = oahgg must be one of"),
-        ("evaluate", "users=0", "users = 0 must be one of default"),
         ("evaluate", "+preset=tiny", "preset = tiny must be one of smoke"),
         ("evaluate", "participants=0", "participants = 0 must be a whole number of at least 1"),
-        ("evaluate", "participants=many", "participants = many must be a whole number"),
-        ("evaluate", "+participant=3", "participant = 3: no such key; did you mean participants?"),
-        ("evaluate", "participant=3", "participant = 3: no such key; did you mean participants?"),
         ("evaluate", "guidance.spring.stiffness=-50", "stiffness = -50"),
         ("evaluate", "guidance.thresholds.user.low=0.9", "low = 0.9"),
         ("evaluate", "guidance.lookahead=-1", "lookahead = -1"),
@@ -246,51 +231,51 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
         ("train", "algorithm.max_kl=0", "max_kl = 0"),
         ("train", "env.backend=gym", "env.backend = 'gym'"),
         ("train", "league.sampler.first.delta=2", "delta = 2"),
-        (
-            "train",
-            "league.scripted_players=[goalie]",
-            "league.scripted_players = 'goalie' must be one of random, defender, striker",
-        ),
-        (
-            "train",
-            "league=nobody",
-            "league = nobody must be one of curriculum, delta_uniform, latest, mixture, pfsp, uniform",
-        ),
+        ("train", "league.scripted_players=[goalie]", "league.scripted_players = 'goalie' must be one of random,"),
+        ("train", "league=nobody", "league = nobody must be one of curriculum, delta_uniform, latest, mixture"),
         ("validate_users", "play_seconds=1", "play_seconds = 1 must be a finite number of at least 10"),
         ("validate_users", "laboratory=1", "laboratory = 1 must be a whole number of at least 2"),
-        (
-            "validate_users",
-            "users.variant=V9",
-            "users.variant = 'V9' must be one of passive, comply_or_resist, goal_sharing",
-        ),
-        (
-            "validate_users",
-            "~users.population.intention.utility_weights.away_wait",
-            "utility_weights.away_wait must be given",
-        ),
+        ("validate_users", "users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist"),
+        ("validate_users", "~users.population.intention.utility_weights.away_wait", "away_wait must be given"),
         ("validate_users", "users.population.situation.position_jump=0", "position_jump = 0 must be a number above 0"),
-        (
-            "meta_train",
-            "users.variant=V9",
-            "users.variant = 'V9' must be one of passive, comply_or_resist, goal_sharing",
-        ),
+        ("meta_train", "users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist"),
         ("evaluate", "users.withdrawn=[joy]", "users.withdrawn: 'joy' must be one of helpfulness"),
         ("evaluate", "users.advisors=nobody.safetensors", "no such file: nobody.safetensors"),
         ("train", "algorithm.fisher_subsample=2", "algorithm.fisher_subsample = 2"),
-        ("train", "algorithm=dqn", "algorithm = dqn must be one of ppo, sac, trpo"),
         ("train", "hidden=[]", "hidden"),
         ("train", "inputs=puck", "inputs = 'puck' must be 'table' or 'paddle'"),
-        ("train", "shaping.shot=far", "shaping.shot = far must be a number"),
         ("train", "resume=nowhere", "resume = nowhere is not the folder of a run"),
         ("train", "collector.workers=2", "collector.workers = 2 must be 1 where collector.kind = single"),
-        ("train", "collector=threads", "collector = threads must be one of multisync, ray, single"),
         ("train", "compute=tpu", "compute = tpu must be one of cpu"),
-        ("meta_train", "compute=tpu", "compute = tpu must be one of cpu"),
-        ("evaluate", "compute=mouse", "compute = mouse must be one of cpu, cuda"),
         ("meta_train", "maml.inner_lr=-0.1", "maml.inner_lr = -0.1"),
         ("meta_train", "demonstrations.games=1", "demonstrations.games = 1"),
         ("meta_train", "models.opponents=nowhere", "no such file: nowhere"),
         ("report", "runs=nowhere", "nowhere"),
+        (
+            "watch",
+            "user=goalie",
+            "user = goalie must be one of striker, wall, banker, counter, presser, all_round, null",
+        ),
+        ("watch", "skill=9", "skill = 9 must be a finite number of at least -4 and at most 4"),
+        ("watch", "seconds=61", "seconds = 61 must be a finite number above 0 and at most 60"),
+        ("watch", "frames_per_second=24", "frames_per_second = 24 must divide 50"),
+        ("watch", "speed=3", "speed = 3 must be a finite number above 0 and at most 2"),
+        ("watch", "width=100", "width = 100 must be a whole number of at least"),
+        ("watch", "~condition", "~condition: condition cannot be left out, must be one of combhg_ua, "),
+        ("watch", "condition.letter=7", "condition.letter = 7 must be a text"),
+        ("collect", "people=everyone", "people = everyone must be training or study"),
+        ("collect", "demonstrations.ticks=2.5", "demonstrations.ticks = 2.5 must be a whole number"),
+        ("collect", "opponent=1000", "opponent = 1000 must be a generation of the league, 0 to 100"),
+        ("play", "device=joystick", "device = joystick must be one of forcedimension, gamepad, mouse, simulated"),
+        ("play", "device.max_speed=0", "device.max_speed = 0 must be a finite number above 0"),
+        (
+            "play",
+            "device=gamepad",
+            "device: gamepad = 0 must be the index of a connected gamepad, of which there are 0",
+        ),
+        ("play", "condition=uphg_ua", "condition = uphg_ua needs a model of you"),
+        ("play", "seconds=0", "seconds = 0 must be a finite number above 0"),
+        ("play", "safety.force=-1", "safety.force = -1"),
     ],
 )
 def test_wrong_values_end_in_one_line(capsys, tmp_path, name, argument, message):

@@ -19,15 +19,7 @@ pytest.importorskip("hydra_plugins.hydra_optuna_sweeper")
 
 
 TRPO = ["airhockey_marl.train", "-m", "+sweep=trpo", "+preset=smoke", "steps_per_generation=500", "pictures_every=0"]
-MAML = [
-    "guidance",
-    "meta_train",
-    "-m",
-    "+sweep=maml",
-    "+preset=smoke",
-    "demonstrations.ticks=200",
-    "maml.epochs=20",
-]
+MAML = ["guidance", "meta_train", "-m", "+sweep=maml", "+preset=smoke", "demonstrations.ticks=200", "maml.epochs=20"]
 
 
 def begin(outputs, *command: str) -> subprocess.Popen:

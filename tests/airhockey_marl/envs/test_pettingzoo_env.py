@@ -110,18 +110,3 @@ def test_render():
         env.step({agent: np.ones(2, dtype=np.float32) for agent in AGENTS})
     assert (env.render() != first).any()
     assert AirHockey().render() is None
-
-
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: AirHockey(round_seconds=0.0), "round_seconds = 0.0"),
-        (lambda: AirHockey(frame_skip=0), "frame_skip = 0"),
-        (lambda: AirHockey(render_mode="human"), "render_mode = 'human'"),
-        (lambda: AirHockeyEnv(0), "tables = 0"),
-        (lambda: make_env("gym", 1, 1.0, 1, 0), "env.backend = 'gym'"),
-    ],
-)
-def test_wrong_values_are_named(make, message):
-    with pytest.raises(ValueError, match=message):
-        make()

@@ -7,13 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from airhockey_marl.envs.physics import PUCK, TableSpec, step_physics
-from airhockey_marl.envs.puck_path import (
-    goal_alignment,
-    heads_for_goal,
-    seconds_to_goal,
-    without_paddles,
-    would_score,
-)
+from airhockey_marl.envs.puck_path import goal_alignment, heads_for_goal, seconds_to_goal, without_paddles, would_score
 from airhockey_marl.envs.world import World
 
 TABLE = TableSpec()

@@ -148,17 +148,6 @@ def test_figure_has_a_line_per_seed_and_the_mean_of_each_algorithm():
     assert lines[3].get_ydata()[-1] == pytest.approx(mean) and lines[3].get_xdata()[-1] == 2 * STEPS / 1e6
 
 
-def test_runs_are_found_by_folder_pattern_and_list(sweep):
-    everything = [sweep / str(number) for number in range(3)]
-
-    def found(*places) -> list[Path]:
-        return [file.parent for file in find_files(places, compare.LEAGUE_FILE)]
-
-    assert found(sweep) == everything
-    assert found(f"{sweep}/[02]", sweep / "1") == [everything[0], everything[2], everything[1]]
-    assert found(sweep / "0", sweep / "0") == everything[:1]
-
-
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [

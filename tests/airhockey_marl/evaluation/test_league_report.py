@@ -2,7 +2,6 @@
 
 import base64
 import html
-import io
 import json
 import re
 import sys
@@ -13,8 +12,6 @@ import numpy as np
 import pandas as pd
 import pytest
 from PIL import Image
-from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-from torch.utils.tensorboard import SummaryWriter
 
 from airhockey_marl.commands import league_report
 from airhockey_marl.evaluation.figures import payoff_figure
@@ -26,7 +23,7 @@ from airhockey_marl.evaluation.league_metrics import (
     evaluate_league,
     payoff_players,
 )
-from airhockey_marl.evaluation.league_report import draw_figures, log_to_tensorboard, page, summary, write_report
+from airhockey_marl.evaluation.league_report import draw_figures, page, summary, write_report
 from airhockey_marl.evaluation.matches import MatchResult
 from airhockey_marl.evaluation.ratings import MATCH_COLUMNS, GoodnessOfFit, Proportion, RatingDifference
 from airhockey_marl.experiment.command import run as start_command
@@ -39,18 +36,8 @@ BUDGET = EvaluationBudget(every=5, rounds=2, match_rounds=4, save_tables=3, std_
 FILES = ["league_report.html", "league_report.json", "match.gif", "payoff.csv", "payoff.png", "precision.png"]
 FILES += ["rating.png", "ratings.csv"]
 BEST_RESPONSE = [(1_000_000, MatchResult(30, 70, 2)), (2_000_000, MatchResult(80, 20, 0))]
-SECTIONS = [
-    "Summary",
-    "Ratings",
-    "Payoff matrix",
-    "Win rates during training",
-    "Saves",
-    "STD by situation",
-    "Smoothness",
-    "Exploitability",
-    "Example match",
-    "Methods and model card",
-]
+SECTIONS = ["Summary", "Ratings", "Payoff matrix", "Win rates during training", "Saves", "STD by situation"]
+SECTIONS += ["Smoothness", "Exploitability", "Example match", "Methods and model card"]
 
 
 def matches() -> pd.DataFrame:
@@ -262,29 +249,6 @@ def test_benchmark_generations_fit_the_league():
     assert payoff_players(101, 10) == [0, 10, 20, 25, 30, 40, 50, 60, 70, 80, 90, 100, *SCRIPTED_PLAYERS]
     assert payoff_players(30, 20) == [0, 7, 10, 14, 20, 21, 29, *SCRIPTED_PLAYERS]
     assert payoff_players(3, 5) == [0, 1, 2, *SCRIPTED_PLAYERS]
-
-
-def test_tensorboard_has_the_report_and_an_animated_match(written, tmp_path):
-    folder, metrics = written
-    with SummaryWriter(str(tmp_path)) as writer:
-        log_to_tensorboard(writer, folder, metrics, 3000)
-    events = EventAccumulator(str(tmp_path), size_guidance={"images": 0}).Reload()
-    assert set(events.Tags()["images"]) == {f"report/{name}" for name in ("payoff", "rating", "precision", "match")}
-    (match,) = events.Images("report/match")
-    assert match.step == 3000
-    with Image.open(io.BytesIO(match.encoded_image_string)) as film:
-        assert film.format == "GIF" and film.is_animated
-    assert [event.step for event in events.Scalars("rating/generation")] == [0, 1500, 3000]
-    expected = metrics.ratings.set_index("member").loc["striker", "rating"]
-    assert events.Scalars("rating/striker")[0].value == pytest.approx(expected, rel=1e-5)
-    named = {
-        "rating/generation",
-        "save_rate/last",
-        "save_rate/defender",
-        *(f"rating/{name}" for name in SCRIPTED_PLAYERS),
-    }
-    scalars = set(events.Tags()["scalars"])
-    assert scalars - named <= {f"std/{s.replace(' ', '_')}" for s in metrics.std["situation"]} and "std/all" in scalars
 
 
 TINY = ["rounds=1", "match_rounds=1", "save_tables=1", "std_tables=2", "std_seconds=2", "exploit_generations=0"]

@@ -234,11 +234,18 @@ def histograms(events: EventAccumulator, signal: str) -> list[str]:
     return [tag for tag in events.Tags()["histograms"] if tag.startswith(f"{signal}/")]
 
 
-def test_histograms_count_every_output_once(tmp_path):
-    class Named:
-        def __init__(self, name):
-            self.name = name
+class Named:
+    def __init__(self, name):
+        self.name = name
 
+
+def histograms_of(counts: Histograms, folder) -> EventAccumulator:
+    with SummaryWriter(str(folder)) as writer:
+        counts.log(writer)
+    return EventAccumulator(str(folder)).Reload()
+
+
+def test_histograms_count_every_output_once(tmp_path):
     counts = Histograms([Named("one"), Named("other")], 2, largest_force=3.0)
     nan = float("nan")
     force = torch.tensor([[0.0, 0.0], [3.0, 0.0], [0.0, -1.5]], dtype=torch.float64)
@@ -246,21 +253,14 @@ def test_histograms_count_every_output_once(tmp_path):
     assert counts.counts["force"].sum(axis=1).tolist() == [2, 1]
     assert counts.counts["force"][0].nonzero()[0].tolist() == [0, BINS - 1]
     assert counts.sums["force"].tolist() == [[3.0, 9.0], [1.5, 2.25]]
-    with SummaryWriter(str(tmp_path)) as writer:
-        counts.log(writer)
-    events = EventAccumulator(str(tmp_path)).Reload()
+    events = histograms_of(counts, tmp_path)
     assert set(events.Tags()["histograms"]) == {"force/one", "force/other", "w_sim/other"}
     value = events.Histograms("w_sim/other")[0].histogram_value
     assert value.num == 1 and value.min <= 0.25 <= value.max
 
 
 def test_a_spring_with_a_force_limit_of_zero_has_a_histogram(tmp_path):
-    class Named:
-        name = "one"
-
-    counts = Histograms([Named()], 2, largest_force=0.0)
+    counts = Histograms([Named("one")], 2, largest_force=0.0)
     counts.add(GuidanceOutput(torch.zeros(2, 2, dtype=torch.float64)), np.array([0, 1]))
-    with SummaryWriter(str(tmp_path)) as writer:
-        counts.log(writer)
-    value = EventAccumulator(str(tmp_path)).Reload().Histograms("force/one")[0].histogram_value
+    value = histograms_of(counts, tmp_path).Histograms("force/one")[0].histogram_value
     assert value.num == 2 and value.min == value.max == 0.0

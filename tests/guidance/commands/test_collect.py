@@ -218,32 +218,6 @@ def test_loaded_demonstrations_are_a_copy(folder, wanted):
     assert torch.equal(dataset.load(folder).action, wanted.action)
 
 
-@pytest.mark.parametrize(
-    ("argument", "message"),
-    [
-        ("people=everyone", "people = everyone must be training or study"),
-        ("participants=0", "participants = 0 must be a whole number of at least 1"),
-        ("demonstrations.games=0", "demonstrations.games = 0 must be a whole number of at least 1"),
-        ("demonstrations.ticks=2.5", "demonstrations.ticks = 2.5 must be a whole number"),
-        ("opponent=1000", "opponent = 1000 must be a generation of the league, 0 to 100"),
-        ("opponent=-1", "opponent = -1 must be a whole number of at least 0"),
-        ("models.opponents=nowhere", "no such file: nowhere"),
-        ("users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist, goal_sharing"),
-        ("users=nobody", "users = nobody must be one of default"),
-        ("seed=-1", "seed = -1 must be a whole number of at least 0"),
-        ("+guests=3", "guests = 3: no such key; --help lists those there are"),
-    ],
-)
-def test_wrong_values_end_in_one_line_before_any_play(monkeypatch, capsys, tmp_path, argument, message):
-    monkeypatch.setattr(demonstrations, "collect_demonstrations", lambda *args: pytest.fail("played"))
-    with pytest.raises(SystemExit) as stopped:
-        run(tmp_path / "run", argument)
-    shown = capsys.readouterr().err
-    assert stopped.value.code == 2 and message in shown
-    assert shown.count("\n") == 1 and shown.startswith("error: ") and "Traceback" not in shown
-    assert not list(tmp_path.glob("run/*.*[tv]"))
-
-
 def test_data_are_never_replaced(folder, tmp_path, capsys):
     """Neither where they were made, nor where somebody has copied nothing but them."""
     copied = tmp_path / "copied"
@@ -254,10 +228,3 @@ def test_data_are_never_replaced(folder, tmp_path, capsys):
             run(place, "seed=9")
         assert stopped.value.code == 2 and said in capsys.readouterr().err
         assert (place / "card.json").read_bytes() == before and dataset.load(place) is not None
-
-
-def test_help_is_the_manual(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["collect", "--help"])
-    start_command(collect.__name__)
-    text = capsys.readouterr().out
-    assert (CONF / "collect.yaml").read_text().strip() in text and "airhockey collect" in text

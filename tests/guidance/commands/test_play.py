@@ -17,7 +17,7 @@ from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.command import run as start_command
 from airhockey_marl.league.league import League
-from guidance.commands import play, watch
+from guidance.commands import watch
 from guidance.haptics.clock import SimulatedClock
 from guidance.haptics.devices.mouse import Mouse
 from guidance.haptics.devices.simulated import Simulated
@@ -207,27 +207,3 @@ def test_who_is_told_to_end_ends_well(tmp_path):
     assert done.returncode == 0 and "again: airhockey watch" in done.stdout, done.stderr
     (game,) = load_games(tmp_path).values()
     assert len(game.ticks()) == pytest.approx(game.results["duration_s"] / TABLE.tick)
-
-
-@pytest.mark.parametrize(
-    ("argument", "message"),
-    [
-        ("device=cuda", "device = cuda must be one of forcedimension, gamepad, mouse, simulated"),
-        ("device=joystick", "device = joystick must be one of forcedimension, gamepad, mouse, simulated"),
-        ("device.max_speed=0", "device.max_speed = 0 must be a number above 0.0"),
-        ("device=gamepad", "device: gamepad = 0 must be the index of a connected gamepad, of which there are 0"),
-        ("condition=uphg_ua", "condition = uphg_ua needs a model of you"),
-        ("opponent=1000", "generation = 1000"),
-        ("seconds=0", "seconds = 0 must be a finite number above 0"),
-        ("width=100", "width = 100 must be a whole number of at least 800"),
-        ("safety.force=-1", "safety.force = -1"),
-        ("models.meta=nowhere", "no such file: nowhere"),
-    ],
-)
-def test_wrong_values_end_in_one_line(monkeypatch, capsys, tmp_path, argument, message):
-    monkeypatch.setattr(sys, "argv", ["play", f"hydra.run.dir={tmp_path}", argument])
-    monkeypatch.setattr(FreePlay, "run", None)
-    with pytest.raises(SystemExit) as stopped:
-        start_command(play.__name__)
-    shown = capsys.readouterr().err
-    assert stopped.value.code == 2 and shown.count("\n") == 1 and message in shown, shown

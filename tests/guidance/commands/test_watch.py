@@ -248,32 +248,3 @@ def test_a_goal_stays(tmp_path):
     save_film(tmp_path / "film.gif", ticks.iloc[30:70].reset_index(drop=True), SCENE, 10, 200)
     with Image.open(tmp_path / "film.gif") as film:
         assert durations(film) == [200, 200, 800, 200, 200]
-
-
-@pytest.mark.parametrize(
-    ("argument", "message"),
-    [
-        ("user=goalie", "user = goalie must be one of striker, wall, banker, counter, presser, all_round, null"),
-        ("skill=9", "skill = 9 must be a finite number of at least -4 and at most 4"),
-        ("skill=high", "skill = 'high' must be a finite number"),
-        ("seconds=0", "seconds = 0 must be a finite number above 0 and at most 60"),
-        ("seconds=61", "seconds = 61 must be a finite number"),
-        ("frames_per_second=24", "frames_per_second = 24 must divide 50"),
-        ("frames_per_second=0", "frames_per_second = 0 must be a whole number of at least 1"),
-        ("speed=3", "speed = 3 must be a finite number above 0 and at most 2"),
-        ("width=100", f"width = 100 must be a whole number of at least {MIN_WIDTH}"),
-        ("condition=oahgg", "condition = oahgg must be one of combhg_ua, "),
-        ("~condition", "~condition: condition cannot be left out, must be one of combhg_ua, "),
-        ("condition.letter=7", "condition.letter = 7 must be a text"),
-        ("users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist, goal_sharing"),
-        ("opponent=1000", "generation = 1000"),
-        ("models.meta=nowhere", "no such file: nowhere"),
-    ],
-)
-def test_wrong_values_end_in_one_line_before_any_work(monkeypatch, capsys, tmp_path, argument, message):
-    monkeypatch.setattr(watch, "play", None)
-    with pytest.raises(SystemExit) as stopped:
-        run(monkeypatch, tmp_path, argument)
-    shown = capsys.readouterr().err
-    assert stopped.value.code == 2 and shown.count("\n") == 1 and message in shown
-    assert not list(tmp_path.glob("watch.*[!g]"))

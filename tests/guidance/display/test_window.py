@@ -1,5 +1,6 @@
 """The window on a virtual screen: its pixels and its keys."""
 
+from functools import cache
 from math import atan2, hypot
 
 import numpy as np
@@ -138,18 +139,15 @@ def test_predictions_are_shown_by_a_key_unless_in_an_experiment(window):
 @settings(deadline=None)
 @given(action=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), width=st.integers(MIN_WIDTH, 2000))
 def test_the_pointer_asks_for_the_place_under_it(action, width):
-    arena = ARENAS.setdefault(width // 400, None) or _arena(width // 400)
+    arena = arena_of(width // 400)
     assert np.allclose(arena.action_at(arena.of_action(np.array(action))), action, atol=1e-9)
 
 
-ARENAS: dict[int, Arena] = {}
-
-
-def _arena(size: int) -> Arena:
+@cache
+def arena_of(size: int) -> Arena:
     pygame.display.init()
     pygame.display.set_mode((100, 100))
-    ARENAS[size] = Arena(TableSpec(), 400 * size)
-    return ARENAS[size]
+    return Arena(TableSpec(), 400 * size)
 
 
 def test_the_pointer_handler_gets_the_action(window):

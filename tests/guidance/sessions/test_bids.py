@@ -234,7 +234,7 @@ def test_every_label_names_one_person(labels):
 
 
 @settings(max_examples=200, deadline=None)
-@given(label=st.text())
+@given(label=st.text() | st.sampled_from(["../P01", "P01/..", "P01\n", "", "P" * 17, "NA", "nan", "NULL", "É1", "=P1"]))
 def test_what_is_no_label_is_refused_before_anything_is_written(label, tmp_path_factory):
     folder = tmp_path_factory.getbasetemp() / "no-labels"
     with Records(folder, FACTS) as records:
@@ -246,14 +246,6 @@ def test_what_is_no_label_is_refused_before_anything_is_written(label, tmp_path_
             with pytest.raises(ValueError, match="must be one of those enrolled: nobody"):
                 records.withdraw(label)
             assert content_of(folder) == before
-
-
-@pytest.mark.parametrize(
-    "label", ["../P01", "P01/..", "P01\n", "P 1", "", "P" * 17, "NA", "nan", "NULL", "É1", "=P1", 7]
-)
-def test_labels_that_would_do_harm_are_refused(records, label):
-    with pytest.raises(ValueError, match="must be 1 to 16 letters and digits"):
-        records.participant(label)
 
 
 def test_labels_that_are_drawn_are_unlike_each_other(records, monkeypatch):
@@ -616,38 +608,6 @@ def saved(folder: Path) -> set[str]:
 
 def told(pipe: int) -> set[str]:
     return set(os.read(pipe, 1 << 16).decode().splitlines())
-
-
-def test_killed_twenty_times_a_study_ends_as_if_it_never_was(tmp_path):
-    labels, chance = ("P01", "P02"), random.Random(0)
-    began = time.monotonic()
-    assert status_of(child(lambda: session(tmp_path / "whole", labels))) == 0
-    seconds, whole = time.monotonic() - began, content_of(tmp_path / "whole")
-    kills, studies, finished = 0, 1, set()
-
-    def same(folder):
-        ours = content_of(folder)
-        assert ours["trials.csv"] == whole["trials.csv"]
-        assert {name: content for name, content in ours.items() if "desc-interrupted" not in name} == whole
-
-    while kills < 20:
-        folder, (reading, writing) = tmp_path / f"killed{studies}", os.pipe()
-        tell = lambda what, writing=writing: os.write(writing, f"{what}\n".encode())  # noqa: E731
-        pid = child(lambda folder=folder, tell=tell: session(folder, labels, tell=tell))
-        os.close(writing)
-        time.sleep(chance.uniform(0, seconds / 10))
-        os.kill(pid, signal.SIGKILL)  # until it is waited for, the number is its own
-        status = status_of(pid)
-        finished |= told(reading)
-        os.close(reading)
-        if status == 0:  # it was done before: once more, elsewhere
-            same(folder)
-            studies, finished = studies + 1, set()
-        else:
-            kills += 1
-            assert finished <= saved(folder)
-    session(folder, labels)
-    same(folder)
 
 
 OPERATIONS = ("fsync", "pwrite", "ftruncate", "replace", "unlink", "mkdir", "rmdir", "open")

@@ -39,15 +39,6 @@ def error(prediction, y):
     return ((y - mean) ** 2 / std).mean() + std.log().mean()
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    """Networks this small run several times slower on more."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 @pytest.fixture
 def model():
     torch.manual_seed(0)

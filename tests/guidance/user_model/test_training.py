@@ -31,15 +31,6 @@ class Gaussian(nn.Module):
         return mean, raw.sigmoid()
 
 
-@pytest.fixture(autouse=True)
-def one_thread():
-    """Networks this small run several times slower on more."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
-
-
 @pytest.fixture
 def model():
     torch.manual_seed(0)
