@@ -94,12 +94,9 @@ class QNetwork(nn.Module):
 
 
 class ReplayBuffer(nn.Module):
-    """The newest transitions: TorchRL's replay buffer as a module, whose state dict a checkpoint can hold.
+    """The newest `capacity` transitions: TorchRL's replay buffer as a module, whose state dict a checkpoint can hold.
 
     Sampling uses torch's global random numbers, which a checkpoint holds as well.
-
-    Args:
-        capacity: transitions.
     """
 
     SIZES = {  # noqa: RUF012 (never changed)

@@ -22,8 +22,7 @@ from airhockey_marl.players.networks import Critic
 def conjugate_gradient(matvec: Callable[[Tensor], Tensor], b: Tensor, steps: int, tolerance: float = 1e-10) -> Tensor:
     """Solve `matvec(x) = b` for a symmetric positive definite operator, from zeros, in at most `steps` steps.
 
-    Args:
-        tolerance: squared norm of the residual below which the solution is accepted.
+    A squared norm of the residual below `tolerance` is accepted.
     """
     x = torch.zeros_like(b)
     residual, direction = b.clone(), b.clone()
@@ -55,10 +54,7 @@ class FisherVectorProduct:
 
     For a Gaussian that Hessian is J^T M J, with J the Jacobian of (mean, STD) and M = diag(1/STD^2, 2/STD^2): no
     second derivative of the network is needed. J v is the derivative of w -> J^T w, whose graph is built once, so each
-    product costs two backward passes.
-
-    Args:
-        observation: (n, 12) the states over which the KL is averaged.
+    product costs two backward passes. The KL is averaged over the states `observation` (n, 12).
     """
 
     def __init__(self, policy: nn.Module, observation: Tensor, damping: float) -> None:

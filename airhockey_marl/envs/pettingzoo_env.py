@@ -39,9 +39,6 @@ class AirHockey(ParallelEnv):
         frame_skip: ticks per step.
         table: sizes and limits; `TableSpec()` by default.
         render_mode: `None` or `"rgb_array"`.
-
-    Attributes:
-        world: the `World` of one table.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"name": "air_hockey_v0", "render_modes": ["rgb_array"], "render_fps": 50}

@@ -148,11 +148,8 @@ def step_expected_puck(
     """Move an expected puck on by one short step: a bounce is noticed at the end of the step in which it happens.
 
     Args:
-        x, y, vx, vy: the puck.
-        seconds: of the step.
         bounces: off walls that are still thought of; after them the puck is expected to stay along the wall.
         bounce_turn: rad, error of the direction in which the puck leaves a side wall.
-        table: the `TableSpec`.
 
     Returns:
         x, y, vx, vy, the bounces left, and whether the puck is in the own goal.

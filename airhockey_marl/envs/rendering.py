@@ -16,15 +16,10 @@ MARGIN = 0.04  # m of rim around the playing field
 
 
 class View(NamedTuple):
-    """Map from positions on the table to pixels of a picture that is supersampled by `SMOOTHING`.
-
-    Attributes:
-        table: the `TableSpec`.
-        width: of the final picture in pixels.
-    """
+    """Map from positions on the table to pixels of a picture that is supersampled by `SMOOTHING`."""
 
     table: TableSpec
-    width: int
+    width: int  # of the final picture, in pixels
 
     @property
     def scale(self) -> float:

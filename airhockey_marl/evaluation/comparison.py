@@ -118,13 +118,9 @@ def compare(runs: Sequence[Run], rounds: int, seed: int) -> pd.DataFrame:
 
 
 def play(left: nn.Module, right: nn.Module, matches: int, rounds: int, seed: int, frame_skip: int) -> list[MatchResult]:
-    """Play matches side by side, of `rounds` rounds each, between policies that sample their actions.
+    """Results of the left players of matches side by side, of `rounds` rounds each; all sample their actions.
 
-    Args:
-        left, right: observations to (mean, STD): batches of as many players as there are matches, or one policy each.
-
-    Returns:
-        The results of the left players.
+    Either side is a batch of as many players as there are matches, or one policy.
     """
     generator = torch.Generator().manual_seed(seed)
     rounds_per_table = -(-rounds // MAX_TABLES)

@@ -63,11 +63,7 @@ def loss_to_win() -> Colormap:
 
 
 def payoff_figure(members: Sequence[PlayerId], score: np.ndarray) -> Figure:
-    """Heat map of win rates, rows against columns.
-
-    Args:
-        score: (k, k, 3), see `ratings.payoff`.
-    """
+    """Heat map of win rates, rows against columns, from `score` (k, k, 3), see `ratings.payoff`."""
     shares, k = win_rates(score), len(members)
     size = min(8.6, 3.6 + 0.32 * k)
     figure = new_figure(size + 0.9, size)
@@ -100,9 +96,7 @@ def payoff_figure(members: Sequence[PlayerId], score: np.ndarray) -> Figure:
 def rating_figure(ratings: pd.DataFrame, matches: pd.DataFrame | None = None) -> Figure:
     """Ratings of the generations with 95 % intervals, and of the scripted players as horizontal lines.
 
-    Args:
-        ratings: columns member, rating, low, high.
-        matches: the same columns from the matches played during training, drawn as a second line.
+    Both tables have the columns member, rating, low, high; that of the matches played during training is a second line.
     """
     figure = new_figure(9.2, 4.6)
     axes = figure.subplots()
@@ -136,12 +130,7 @@ def rating_figure(ratings: pd.DataFrame, matches: pd.DataFrame | None = None) ->
 
 
 def matches_figure(matches: pd.DataFrame, window: int = 5) -> Figure:
-    """Win rate of each generation, when it was the newest, against scripts and earlier generations: raw and smoothed.
-
-    Args:
-        matches: see `ratings.MATCH_COLUMNS`.
-        window: generations over which the line is smoothed.
-    """
+    """Win rate of each generation, when it was the newest, against others: raw, and smoothed over `window` of them."""
     generations = sorted({m for m in matches["opponent"] if not isinstance(m, str)})
     few = np.linspace(0, len(generations) - 1, min(MAX_PANELS, len(generations))).round().astype(int)
     opponents = [*(generations[i] for i in few), *sorted({m for m in matches["opponent"] if isinstance(m, str)})]
@@ -169,11 +158,7 @@ def matches_figure(matches: pd.DataFrame, window: int = 5) -> Figure:
 
 
 def win_rates_figure(matches: pd.DataFrame) -> Figure:
-    """Heat map of win rates: a column per generation, when it was the newest, and a row per opponent.
-
-    Args:
-        matches: see `ratings.MATCH_COLUMNS`.
-    """
+    """Heat map of win rates: a column per generation, when it was the newest, and a row per opponent."""
     from matplotlib.ticker import MaxNLocator
 
     scripts = [member for member in dict.fromkeys(matches["opponent"]) if isinstance(member, str)]

@@ -147,12 +147,9 @@ def std_map(
 ) -> np.ndarray:
     """The mean STD by the place of the puck, while it approaches the own goal or while it does not.
 
-    Args:
-        cells: along and across the table.
-
     Returns:
-        (across, along) over the whole table, own end first, right-hand side first; NaN in cells with fewer than
-        `min_decisions` decisions.
+        (across, along), as many as `cells`, over the whole table, own end first, right-hand side first; NaN in cells
+        with fewer than `min_decisions` decisions.
     """
     along, across = cells
     observation, table = trajectories.observation.reshape(-1, OBSERVATION_SIZE), trajectories.table

@@ -209,14 +209,7 @@ def _logistic(strength: np.ndarray) -> np.ndarray:
 
 
 def ratings_of_matches(matches: pd.DataFrame, reference: PlayerId | None = None) -> pd.DataFrame:
-    """Ratings of all players in `matches` (see `MATCH_COLUMNS`).
-
-    Args:
-        reference: the player whose rating is 0; by default the oldest generation.
-
-    Returns:
-        Columns member, rating, low, high: the generations in their order, then the scripted players by name.
-    """
+    """`ratings_table` of all players in matches (`MATCH_COLUMNS`), by default relative to the oldest generation."""
     player_ids, wins = wins_of_matches(matches)
     return ratings_table(player_ids, wins, player_ids[0] if reference is None else reference)
 

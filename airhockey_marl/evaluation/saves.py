@@ -35,13 +35,9 @@ class Saves(NamedTuple):
 
 @njit(cache=True)
 def update_counts(shot, counts, bodies, goals, touched, served, no_paddles):
-    """Update the counts with one tick of n tables.
+    """Update `shot` (n,) bool, whether a shot is on its way, and `counts` (2,), blocked and conceded, by one tick.
 
-    Args:
-        shot: (n,) bool, whether a shot is on its way; updated.
-        counts: (2,) shots blocked and conceded at all tables; updated.
-        bodies, goals, touched, served: of the `World` after the tick.
-        no_paddles: the table without paddles, see `would_score`.
+    `bodies`, `goals`, `touched` and `served` are of the `World` after the tick, `no_paddles` is for `would_score`.
     """
     for index in range(len(bodies)):
         done = goals[index] != 0 or served[index]

@@ -47,12 +47,7 @@ def _pool(threads: int) -> ThreadPoolExecutor:
 
 
 def join_ray_cluster(address: str, cores: int | None = None) -> None:
-    """Join a Ray cluster, unless this process has joined one already.
-
-    Args:
-        address: "local" to start one on this machine, "auto" or host:port.
-        cores: of a cluster that is started; all of this machine if None.
-    """
+    """Join the Ray cluster at "auto" or host:port, or start one, "local", of so many cores, unless this was done."""
     import ray  # an optional dependency
 
     if not ray.is_initialized():

@@ -79,11 +79,7 @@ def save_png(figure: Figure, path: Path, dpi: int = 130) -> None:
 
 
 def save_figure(draw: Callable[[], Figure], folder: Path, name: str, dpi: int) -> bytes:
-    """Draw a figure and write it as `name`.png and `name`.svg; equal figures give equal bytes.
-
-    Returns:
-        The content of the SVG file.
-    """
+    """Draw a figure, write it as `name`.png and `name`.svg, and return the SVG; equal figures give equal bytes."""
     import matplotlib
 
     with matplotlib.rc_context({"svg.hashsalt": name, "font.family": "DejaVu Sans"}):

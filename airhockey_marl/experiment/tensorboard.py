@@ -47,10 +47,8 @@ def code_block(text: str) -> str:
 def log_run_header(writer: SummaryWriter, cfg: DictConfig, tags: Mapping[str, str], layout: Layout) -> None:
     """Log what a run is, once, at its beginning.
 
-    Args:
-        cfg: shown as card on the TEXT page.
-        tags: by tag, with * for a part that varies, what it is; shown as table of names on the TEXT page.
-        layout: charts of the CUSTOM SCALARS page.
+    The TEXT page shows `cfg` as card, and `tags`, with * for a part that varies, as table of names; `layout` are the
+    charts of the CUSTOM SCALARS page.
     """
     charts = {
         category: {title: ["Multiline", list(patterns)] for title, patterns in titles.items()}
@@ -83,11 +81,7 @@ def log_final_scores(folder: Path | str, cfg: DictConfig, scores: Mapping[str, f
 
     TensorBoard fills that page from the settings of all runs and every scalar in their folders. So the scores have a
     folder of their own, and no experiment description: the page would take the first that it finds, and show only its
-    settings and scores for the runs of all commands.
-
-    Args:
-        folder: of the run.
-        scores: by name; NaN are left out.
+    settings and scores for the runs of all commands. NaN are left out.
     """
     from torch.utils.tensorboard.summary import hparams
 
@@ -111,12 +105,7 @@ def tensorboard_dir(folder: Path | str) -> Path:
 
 
 def open_writer(folder: Path, purge_step: int | None = None) -> SummaryWriter:
-    """Open a writer of event files.
-
-    Args:
-        purge_step: of a resumed run, the first step that is logged again: TensorBoard then drops what earlier files
-            have from this step on.
-    """
+    """A writer of event files; in a resumed run TensorBoard drops what earlier files have from `purge_step` on."""
     from torch.utils.tensorboard import SummaryWriter
 
     threading.excepthook = _report_thread_error

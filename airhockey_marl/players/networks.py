@@ -56,9 +56,7 @@ def check_hidden(hidden: Any, name: str = "hidden") -> None:
 class GaussianPolicy(nn.Module):
     """12 -> hidden ReLU layers -> mean (2) and sigmoid STD (2): a diagonal Gaussian over the action.
 
-    Args:
-        hidden: sizes of the hidden layers.
-        inputs: origin of the puck's position, see `ObservationScaling`.
+    `inputs` is the origin of the puck's position, see `ObservationScaling`.
     """
 
     def __init__(self, hidden: Sequence[int] = OPTIMAL_ACTION_HIDDEN, inputs: str = TABLE) -> None:

@@ -52,12 +52,8 @@ def decide(world: World, players: tuple[Player, Player], observation: np.ndarray
 def rollout(world: World, players: tuple[Player, Player], frame_skip: int, max_steps: int) -> Iterator[Step]:
     """Play without end from the world's present state, and yield each step.
 
-    When a step is yielded, `world` is in the state at its end; afterwards new rounds begin where `done`.
-
-    Args:
-        players: the left and the right one.
-        frame_skip: ticks for which an action is held.
-        max_steps: of a round.
+    Each action is held for `frame_skip` ticks, and a round has at most `max_steps`. When a step is yielded, `world` is
+    in the state at its end; afterwards new rounds begin where `done`.
     """
     observation = np.empty((2, world.n, OBSERVATION_SIZE), dtype=np.float32)
     action = np.empty((world.n, 2, ACTION_SIZE), dtype=np.float32)

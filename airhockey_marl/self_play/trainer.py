@@ -44,11 +44,7 @@ class SelfPlayTrainer:
     def train_generation(
         self, opponents: OpponentBatch, steps: int, shaping_strength: float
     ) -> tuple[dict[str, float], np.ndarray]:
-        """Train on `steps` steps against these opponents.
-
-        Args:
-            steps: a multiple of the workers' batch.
-            shaping_strength: factor of the shaping, 0 to 1.
+        """Train on `steps` steps, a multiple of the workers' batch; `shaping_strength` (0 to 1) scales the shaping.
 
         Returns:
             The mean metrics of the updates, and the goals scored and conceded against each opponent (k, 2).

@@ -1,7 +1,6 @@
 """Broken and hostile input is refused in one line or accepted where it is valid, and never executed."""
 
 import json
-import os
 import pickle
 import struct
 import sys
@@ -13,8 +12,6 @@ import pandas as pd
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from omegaconf import OmegaConf
 from safetensors.torch import save_file
 
@@ -50,18 +47,6 @@ def test_broken_input_is_refused():
 def test_a_hundred_thousand_broken_inputs_are_refused():
     results = fuzz(100_000, seed=1)
     assert not results["faults"], results["faults"][:5]
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.binary(max_size=400))
-def test_random_bytes_are_no_model(content):
-    with pytest.raises(ValueError):
-        path = Path(os.environ.get("TMPDIR", "/tmp")) / f"airhockey-{os.getpid()}.safetensors"
-        try:
-            path.write_bytes(content)
-            load_user_model(path)
-        finally:
-            path.unlink()
 
 
 def a_model(path: Path, facts: dict | None = None, **changes: torch.Tensor) -> Path:

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -45,6 +46,11 @@ def run_without_network(program: str, *arguments: str) -> subprocess.CompletedPr
     return subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300, check=False)
 
 
+def run_command(module: str, tmp_path: Path) -> subprocess.CompletedProcess:
+    program = f"from airhockey_marl.experiment.command import run; run('{module}')"
+    return run_without_network(program, "+preset=smoke", f"hydra.run.dir={tmp_path}/run")
+
+
 @pytest.mark.parametrize(
     "program",
     ["import urllib.request as u; u.urlopen('http://192.0.2.1')", "socket.socket().connect(('127.0.0.1', 9))"],
@@ -55,11 +61,7 @@ def test_network_access_is_noticed(program):
 
 
 def test_a_study_needs_no_network(tmp_path):
-    done = run_without_network(
-        "from airhockey_marl.experiment.command import run; run('guidance.commands.evaluate')",
-        "+preset=smoke",
-        f"hydra.run.dir={tmp_path}/run",
-    )
+    done = run_command("guidance.commands.evaluate", tmp_path)
     assert done.returncode == 0 and "NETWORK" not in done.stderr, done.stderr
     page = (tmp_path / "run" / "report.html").read_text()
     for loading in ("<script", "<link", "<iframe", "@import", 'src="http', "url(http"):
@@ -68,9 +70,5 @@ def test_a_study_needs_no_network(tmp_path):
 
 @pytest.mark.slow
 def test_a_training_needs_no_network(tmp_path):
-    done = run_without_network(
-        "from airhockey_marl.experiment.command import run; run('airhockey_marl.commands.train')",
-        "+preset=smoke",
-        f"hydra.run.dir={tmp_path}/run",
-    )
+    done = run_command("airhockey_marl.commands.train", tmp_path)
     assert done.returncode == 0 and "NETWORK" not in done.stderr, done.stderr

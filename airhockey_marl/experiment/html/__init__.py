@@ -11,14 +11,9 @@ SHARED = Path(__file__).parent  # base.html with the style of all pages, macros.
 
 
 def template(folder: Path, name: str, **filters: Callable) -> Template:
-    """Load a page template.
+    """Load a page template, which may extend `base.html` and import from `macros.html`.
 
-    Args:
-        folder: of the template; it may extend `base.html` and import from `macros.html`.
-        filters: beside the common ones, `number` and `pretty` (indented JSON).
-
-    Returns:
-        The template; rendering it raises if a variable is undefined.
+    `filters` come beside the common ones, `number` and `pretty` (indented JSON). An undefined variable raises.
     """
     environment = Environment(
         loader=FileSystemLoader([folder, SHARED]),

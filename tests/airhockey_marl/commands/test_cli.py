@@ -2,7 +2,6 @@
 
 import json
 import subprocess
-import sys
 import time
 from pathlib import Path
 
@@ -298,15 +297,8 @@ def test_models_of_another_kind_or_broken_are_refused(capsys, tmp_path):
     assert "not a file of this project" in complaint(capsys, tmp_path, "evaluate", f"models.user={other}")
 
 
-def test_commands_start_from_any_folder(trained, models, tmp_path):
-    script = "from airhockey_marl.__main__ import main; main()"
-    done = subprocess.run(
-        [sys.executable, "-c", script, "evaluate", "+preset=smoke", "condition=nhg", *models, "hydra.run.dir=run"],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=300,
-        check=False,
-    )
+def test_commands_start_from_any_folder(models, tmp_path):
+    arguments = ["evaluate", "+preset=smoke", "condition=nhg", *models, "hydra.run.dir=run"]
+    done = start("airhockey_marl", *arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run" / "trials.csv").is_file()

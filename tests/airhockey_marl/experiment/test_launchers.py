@@ -47,20 +47,16 @@ def check_sweep(folder: Path, done: CompletedProcess, expected: dict[str, str]) 
 
 
 @pytest.mark.slow
-def test_joblib_runs_them_side_by_side(one_after_another, tmp_path):
-    done = sweep(tmp_path, SEEDS, "hydra/launcher=cores", "hydra.launcher.n_jobs=2")
+@pytest.mark.parametrize(
+    ("launcher", "needs", "processes"),
+    [(["cores", "hydra.launcher.n_jobs=2"], "joblib", 2), (["slurm_here"], "submitit", 4)],
+)
+def test_a_launcher_runs_them_in_processes_of_their_own(one_after_another, tmp_path, launcher, needs, processes):
+    pytest.importorskip(needs)
+    done = sweep(tmp_path, SEEDS, f"hydra/launcher={launcher[0]}", *launcher[1:])
     check_sweep(tmp_path, done, one_after_another)
     pids = {json.loads((tmp_path / str(job) / "run.json").read_text())["pid"] for job in range(4)}
-    assert len(pids) == 2
-
-
-@pytest.mark.slow
-def test_submitit_runs_each_in_a_process_of_its_own(one_after_another, tmp_path):
-    pytest.importorskip("submitit")
-    done = sweep(tmp_path, SEEDS, "hydra/launcher=slurm_here")
-    check_sweep(tmp_path, done, one_after_another)
-    pids = {json.loads((tmp_path / str(job) / "run.json").read_text())["pid"] for job in range(4)}
-    assert len(pids) == 4
+    assert len(pids) == processes
 
 
 @pytest.mark.skipif(find_spec("ray") is None, reason="needs ray")  # before the fixture is made

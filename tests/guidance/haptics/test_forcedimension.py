@@ -276,12 +276,8 @@ def test_the_time_guard_and_a_saturated_motor_are_no_errors(device, sdk, code):
 
 def test_a_velocity_without_positions_enough_is_that_of_the_last_two(device, sdk, clock):
     step(device)
-    sdk.at, sdk.moving, sdk.answers["dhdGetLinearVelocity"], sdk.error = (
-        (0.02, -0.01, 0.0),
-        (9.0, 9.0, 9.0),
-        -1,
-        TIMEOUT,
-    )
+    sdk.at, sdk.moving = (0.02, -0.01, 0.0), (9.0, 9.0, 9.0)
+    sdk.answers["dhdGetLinearVelocity"], sdk.error = -1, TIMEOUT
     clock.tick(0.02)
     assert step(device)[1] == pytest.approx((-1.0, 0.5))
 

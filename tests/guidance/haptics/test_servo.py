@@ -504,13 +504,8 @@ for _ in range(1000):
 def parent(tmp_path, log, *arguments):
     program = tmp_path / "program.py"
     program.write_text(PARENT)
-    root = ROOT
-    return subprocess.Popen(
-        [sys.executable, str(program), str(log), *arguments],
-        stdout=subprocess.PIPE,
-        text=True,
-        env={**os.environ, "PYTHONPATH": str(root)},
-    )
+    command, environment = [sys.executable, str(program), str(log), *arguments], os.environ | {"PYTHONPATH": str(ROOT)}
+    return subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
 
 
 def test_when_the_parent_is_killed_the_device_is_left_without_a_force(tmp_path, log):

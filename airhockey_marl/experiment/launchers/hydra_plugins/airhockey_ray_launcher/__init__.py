@@ -25,9 +25,7 @@ log = logging.getLogger(__name__)
 class RayLauncher(Launcher):
     """Runs the jobs of a sweep as tasks of a Ray cluster.
 
-    Args:
-        init: of `ray.init`, such as the address of a cluster; not used where the program has joined one already.
-        remote: of `ray.remote`, such as the cores that a job reserves.
+    `init` is for `ray.init`, unless the program has joined a cluster already, and `remote` for `ray.remote`.
     """
 
     def __init__(self, init: DictConfig, remote: DictConfig) -> None:
@@ -37,11 +35,7 @@ class RayLauncher(Launcher):
         self.hydra_context, self.task_function, self.config = hydra_context, task_function, config
 
     def launch(self, job_overrides: Sequence[Sequence[str]], initial_job_idx: int) -> list[JobReturn]:
-        """Run the jobs, as many at a time as the cluster has room for.
-
-        Returns:
-            What came of each, in the order of `job_overrides`.
-        """
+        """Run the jobs, as many at a time as the cluster has room for; what came of each, in their order."""
         import ray
 
         setup_globals()
