@@ -18,7 +18,6 @@ from airhockey_marl.experiment.files import atomic_write, find_files
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "rounds", "threads")
     require_counts(cfg, "seed", least=0)
 

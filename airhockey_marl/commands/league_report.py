@@ -19,7 +19,6 @@ from airhockey_marl.experiment.progress import ProgressBar
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "threads", "every", "rounds", "match_rounds", "save_tables", "std_tables")
     require_counts(cfg, "seed", "exploit_generations", least=0)
     require_numbers(cfg, "std_seconds")

@@ -24,7 +24,6 @@ OVER = ("failed", "interrupted")
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise an InputError for values that cannot be used."""
     if not Path(cfg.outputs).is_dir():
         raise InputError(f"outputs = {cfg.outputs} must be a folder")
     if cfg.status is not None and cfg.status not in STATES:

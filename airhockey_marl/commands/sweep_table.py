@@ -18,7 +18,7 @@ from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors
-from airhockey_marl.experiment.config import InputError
+from airhockey_marl.experiment.config import InputError, flatten_settings
 from airhockey_marl.experiment.files import atomic_write, find_files, load_json
 
 if TYPE_CHECKING:
@@ -54,8 +54,6 @@ def read_cards(places: Iterable[str]) -> dict[Path, dict[str, Any]]:
 def tabulate(cards: Mapping[Path, Mapping[str, Any]]) -> tuple[pd.DataFrame, list[str], list[str]]:
     """A row per run, the settings that differ between runs, and the scores: the numbers in a card's other tables."""
     import pandas as pd
-
-    from airhockey_marl.experiment.tensorboard import flatten_settings
 
     settings = pd.DataFrame([flatten_settings(card["config"]) for card in cards.values()])
     varied = [name for name in settings if name not in NOT_SETTINGS and settings[name].nunique(dropna=False) > 1]

@@ -26,7 +26,6 @@ from airhockey_marl.experiment.run_folder import lock_run_folder, note_headline
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise an InputError for values that cannot be used."""
     counts = ("threads", "generations", "steps_per_generation", "batch")
     require_counts(cfg, *counts, "env.tables", "env.frame_skip", "league.opponents")
     require_counts(cfg, "league.match_rounds", "league.match_every")

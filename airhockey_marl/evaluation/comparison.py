@@ -51,7 +51,6 @@ class Run:
 
     @property
     def last(self) -> int:
-        """The number of the last generation."""
         return len(self.league) - 1
 
 

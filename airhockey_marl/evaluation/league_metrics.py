@@ -125,7 +125,6 @@ class LeagueMetrics:
 
     @property
     def last(self) -> int:
-        """The newest generation."""
         return max(generations_of(self.player_ids))
 
     def payoff_table(self) -> pd.DataFrame:

@@ -77,7 +77,6 @@ class Command:
 
     @property
     def name(self) -> str:
-        """Of the command, and of its yaml."""
         return self.module.rpartition(".")[2]
 
     @cached_property

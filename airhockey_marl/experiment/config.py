@@ -4,7 +4,8 @@ A run folder may be anybody's, and a few lines of yaml can mean a billion: alias
 `${references}` to texts of references. What Hydra writes has no aliases and a handful of references.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
+import json
+from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
@@ -27,7 +28,6 @@ ROOT = Path(__file__).resolve().parents[2]
 _INSTALLED = Path(__file__).resolve().parents[1] / "conf"  # in a source tree a link to ROOT / "conf"
 CONF = _INSTALLED.resolve() if _INSTALLED.is_dir() else ROOT / "conf"
 COMMAND_GROUPS = ("preset", "sweep")  # with a folder for each command, conf/preset/<command>/
-BASE = "base"  # in a group, what its options share
 KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}  # of simple values
 
 # ${project:path} in a yaml is a path beside the packages, in a source tree as where they are installed
@@ -51,9 +51,7 @@ def group_options(conf: Path, name: str) -> dict[str, list[str]]:
     folders = {group: group for group in (*defaults, "hydra/launcher")}
     folders |= {group: f"{group}/{name}" for group in COMMAND_GROUPS}
     options = {
-        group: sorted(
-            {*loader.get_group_options(folder), *(file.stem for file in (CONF / folder).glob("*.yaml"))} - {BASE}
-        )
+        group: sorted({*loader.get_group_options(folder), *(file.stem for file in (CONF / folder).glob("*.yaml"))})
         for group, folder in folders.items()
     }
     return {group: names for group, names in options.items() if names}
@@ -87,7 +85,7 @@ def check_overrides(conf: Path, name: str, arguments: Sequence[str]) -> None:
     for override in keys:
         _check_key(override, tree, [*own])
     given = {override.key_or_group for override in keys}
-    for key, value in _leaves({key: value for key, value in tree.items() if key != "hydra"}):
+    for key, value in flatten_settings({key: value for key, value in tree.items() if key != "hydra"}).items():
         if value == "???" and not any(key == one or key.startswith(f"{one}.") for one in given):
             raise InputError(f"{key} must be chosen: {key}=...")
 
@@ -150,9 +148,8 @@ def _check_key(override: Override, tree: Mapping[str, Any], groups: Sequence[str
             if depth and depth == len(parts) - 1 and override.is_add() and isinstance(node, dict):
                 return  # a new entry of a table
             near = get_close_matches(str(part), [*map(str, siblings), *([] if found else groups)], 1)
-            near = (
-                [".".join([*found, *near])] if near else [k for k, _ in _leaves(tree) if k.split(".")[-1] == parts[-1]]
-            )
+            same_name = [name for name in flatten_settings(tree) if name.split(".")[-1] == parts[-1]]
+            near = [".".join([*found, *near])] if near else same_name
             hint = f"; did you mean {near[0]}?" if near else "; --help lists those there are"
             raise InputError(f"{override.input_line.lstrip('+~').replace('=', ' = ', 1)}: no such key{hint}")
         node = siblings[part]
@@ -179,13 +176,15 @@ def _fits(value: Any, default: Any) -> bool:
     return type(value) is type(default) or type(default) not in KINDS
 
 
-def _leaves(tree: Mapping[str, Any], above: str = "") -> Iterator[tuple[str, Any]]:
-    """Every key below a tree, with dots, and its value."""
+def flatten_settings(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """A tree of settings as dotted names; lists as they are written on the command line."""
+    leaves: dict[str, Any] = {}
     for key, value in tree.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{above}{key}.")
+        if isinstance(value, Mapping):
+            leaves |= flatten_settings(value, f"{prefix}{key}.")
         else:
-            yield f"{above}{key}", value
+            leaves[f"{prefix}{key}"] = json.dumps(value).replace(" ", "") if isinstance(value, list) else value
+    return leaves
 
 
 def describe(error: Exception) -> str:

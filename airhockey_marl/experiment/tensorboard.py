@@ -11,10 +11,12 @@ import json
 import threading
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import yaml
 from omegaconf import DictConfig, OmegaConf
+
+from airhockey_marl.experiment.config import flatten_settings
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
@@ -26,17 +28,6 @@ COMMON_TAGS = {"card/text_summary": "the resolved configuration", "names/text_su
 # settings of how a run is executed, which do not change its results
 NOT_SETTINGS = ("resume", "threads", "compute", "pictures_every")
 SCORES = "scores"  # subfolder of the scores on the HPARAMS page
-
-
-def flatten_settings(tree: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
-    """A tree of settings as dotted names; lists as they are written on the command line."""
-    leaves: dict[str, Any] = {}
-    for key, value in tree.items():
-        if isinstance(value, Mapping):
-            leaves |= flatten_settings(value, f"{prefix}{key}.")
-        else:
-            leaves[f"{prefix}{key}"] = json.dumps(value).replace(" ", "") if isinstance(value, list) else value
-    return leaves
 
 
 def code_block(text: str) -> str:

@@ -29,8 +29,7 @@ def best_response(
 
     Args:
         cfg: of the league's training (`conf/train.yaml`).
-        generations: length of the training, in the league's `steps_per_generation`; the shaping fades over all of them.
-        rounds: of the match after each generation.
+        generations: of training, over all of which the shaping fades; a match of `rounds` rounds follows each.
         seed: of the new policy and its rollouts; the state of torch's random generator is restored.
 
     Returns:

@@ -61,12 +61,9 @@ def test_weights_and_optimizer_states_are_checked():
 
 
 def test_message_names_the_phase_and_the_checkpoint(tmp_path):
-    for file, left in ((tmp_path / "none", "nothing was written yet"), (tmp_path, "nothing was written yet")):
-        with (
-            pytest.raises(FloatingPointError, match=f"stopped in generation 3: gone; {left}"),
-            name_divergence("generation 3", file),
-        ):
-            raise FloatingPointError("gone")
+    message = "stopped in generation 3: gone; nothing was written yet"
+    with pytest.raises(FloatingPointError, match=message), name_divergence("generation 3", tmp_path / "none"):
+        raise FloatingPointError("gone")
 
 
 @pytest.mark.parametrize("algorithm", ["trpo", "ppo", "sac"])

@@ -47,14 +47,8 @@ def test_seconds_to_goal_agrees_with_the_physics():
 
 
 def test_seconds_to_goal_is_inf_for_a_puck_that_misses():
-    straight, aside, away, bank = (
-        (0.0, 0.0, -2.0, 0.0),
-        (0.0, 0.3, -2.0, 0.0),
-        (0.0, 0.0, 2.0, 0.0),
-        (0.0, 0.3, -2.0, 1.0),
-    )
-    observation = np.zeros((4, 12), dtype=np.float32)
-    observation[:, 8:] = straight, aside, away, bank
+    observation = np.zeros((4, 12), dtype=np.float32)  # straight, aside, away, and over the side wall
+    observation[:, 8:] = (0.0, 0.0, -2.0, 0.0), (0.0, 0.3, -2.0, 0.0), (0.0, 0.0, 2.0, 0.0), (0.0, 0.3, -2.0, 1.0)
     times = seconds_to_goal(observation, TABLE)
     assert times[0] == pytest.approx(TABLE.length / 4) and np.isinf(times[1:3]).all()
     reach = TABLE.width / 2 - TABLE.puck_radius

@@ -586,12 +586,6 @@ def test_a_full_disk_in_the_middle_of_a_game(folder):
         pd.testing.assert_frame_equal(ticks, expected.astype({"scored": int}), check_exact=True)
 
 
-def test_a_folder_that_cannot_be_written_is_named(tmp_path, monkeypatch):
-    (tmp_path / "file").write_text("")
-    with pytest.raises(OSError, match=r"file/study cannot be written: Not a directory"):
-        Records(tmp_path / "file" / "study", FACTS)
-
-
 def session(folder: Path, labels, names=NAMES, tell=lambda what: None) -> None:
     with Records(folder, FACTS) as records:
         for label in labels:

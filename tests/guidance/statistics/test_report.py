@@ -174,13 +174,6 @@ def test_some_conditions_only(trials, tmp_path, chosen, untested):
     assert "CombHG, set against OAHG, was not tested." in text
 
 
-def test_too_few_participants(tmp_path):
-    assert write_report(synthetic_trials(users=2), tmp_path, {}).empty
-    text = text_of((tmp_path / "report.html").read_text(encoding="utf-8"))
-    assert "too few participants (2)" in text
-    assert "The run has no manifest." in text
-
-
 def test_no_trials_are_refused(trials, tmp_path):
     with pytest.raises(ValueError, match="no trials"):
         write_report(trials.iloc[:0], tmp_path, {})
