@@ -1,8 +1,8 @@
 """The nine conditions of section 4.2 as compositions of the force equations.
 
 `condition_specs` reads what a condition is; `build_condition` composes it of the frozen dataclasses below, and nothing
-after that asks which condition it is. A guidance maps the game's state, the hand and the models' predictions to a force;
-tensors have any leading batch dimensions, so one call serves all users of a condition.
+after that asks which condition it is. A guidance maps the game's state, the hand and the models' predictions to a
+force; tensors have any leading batch dimensions, so one call serves all users of a condition.
 """
 
 from collections.abc import Mapping
