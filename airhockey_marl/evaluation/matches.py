@@ -73,6 +73,12 @@ def play_matches(
     return [MatchResult(*counts) for counts in score.reshape(matches, tables, 3).sum(axis=1).tolist()]
 
 
+def play_match(left: Player, right: Player, rounds: int, seed: int, **options: Any) -> MatchResult:
+    """Play `rounds` rounds side by side, one per table; see `play_rounds` for the options."""
+    (result,) = play_matches(left, right, 1, rounds, 1, seed, **options)
+    return result
+
+
 def play_opponents(
     policy: GaussianPolicy, opponents: OpponentBatch, rounds: int, seed: int, frame_skip: int
 ) -> dict[PlayerId, MatchResult]:

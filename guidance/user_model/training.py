@@ -162,12 +162,7 @@ def adapt_to_user(
     Returns:
         Each user's parameters, batch size (users,), without a graph; for :func:`maml.forward_stacked`, or
         ``adapted[i]`` for one user.
-
-    Raises:
-        ValueError: a shape is wrong, or ``lr`` or ``steps`` out of range.
     """
-    if observation.ndim != 3 or action.shape != (*observation.shape[:2], 2):
-        raise ValueError(f"action: shape {tuple(action.shape)}, must be (users, ticks, 2) as observation")
     return adapt_stacked(params, partial(_data_loss, model), (observation, action), lr, steps)
 
 

@@ -60,7 +60,7 @@ def legal_states(draw, fastest=20.0):
     return bodies, targets
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(legal_states())
 def test_nothing_leaves_the_table_or_overlaps_or_becomes_nan(state):
     bodies, targets = state
@@ -80,7 +80,7 @@ def test_nothing_leaves_the_table_or_overlaps_or_becomes_nan(state):
             assert np.hypot(*(bodies[PUCK, :2] - bodies[agent, :2])) >= TOUCHING - 1e-3
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(legal_states())
 def test_swapping_the_agents_mirrors_the_trajectory_exactly(state):
     bodies, targets = state
@@ -95,7 +95,7 @@ def test_swapping_the_agents_mirrors_the_trajectory_exactly(state):
             break
 
 
-@settings(max_examples=1000, deadline=None)
+@settings(max_examples=1000)
 @given(legal_states())
 def test_no_contact_is_out_of_reach(state):
     bodies, _ = state

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airhockey_marl.envs.physics import PUCK, TableSpec, step_physics
@@ -106,7 +106,6 @@ def test_goal_alignment_follows_the_path_over_mirrors(puck, aim):
     assert goal_alignment(state, TABLE).squeeze(-1).tolist() == pytest.approx([aim] * 3, abs=1e-3)
 
 
-@settings(deadline=None)
 @given(st.floats(-0.9, 0.9), st.floats(-0.45, 0.45), st.floats(-8, -0.5), st.floats(-8, 8))
 def test_heads_for_goal_agrees_with_an_empty_table(x, y, vx, vy):
     empty = TableSpec(drag=0.0, friction=0.0, paddle_radius=1e-6)

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from airhockey_marl.algorithms.trpo import TRPOConfig
-from airhockey_marl.evaluation.matches import play_matches
+from airhockey_marl.evaluation.matches import play_match
 from airhockey_marl.league.league import League, weights_hash
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.players import greedy, stochastic
@@ -89,8 +89,8 @@ def test_matches_are_fair_and_reproducible():
 
     def play(seed: int):
         generator = torch.Generator().manual_seed(seed)
-        return play_matches(*[stochastic(policy, generator)] * 2, 1, 300, 1, seed, round_seconds=10)[0]
+        return play_match(*[stochastic(policy, generator)] * 2, 300, seed, round_seconds=10)
 
     assert play(1) == play(1)
     assert abs(play(1).win_rate - 0.5) < 0.15
-    assert sum(play_matches(greedy(policy), greedy(policy), 1, 10, 1, 0, round_seconds=0.1)[0]) == 10
+    assert sum(play_match(greedy(policy), greedy(policy), 10, 0, round_seconds=0.1)) == 10

@@ -6,7 +6,7 @@ import torch
 
 from airhockey_marl.envs.physics import LEFT, PUCK, TableSpec, X
 from airhockey_marl.envs.world import World
-from airhockey_marl.evaluation.matches import play_matches
+from airhockey_marl.evaluation.matches import play_match
 from airhockey_marl.evaluation.saves import count_saves
 from airhockey_marl.players.players import stochastic
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
@@ -107,9 +107,8 @@ def test_a_puck_behind_the_paddle_is_gone_around(name):
 
 
 def test_the_striker_beats_the_random_player_and_the_defender():
-    (won,) = play_matches(player("striker"), player("random", 1), 1, 200, 1, 0)
-    assert won.wins >= 0.9 * 200
-    assert play_matches(player("striker"), player("defender", 1), 1, 100, 1, 0)[0].win_rate > 0.7
+    assert play_match(player("striker"), player("random", 1), 200, 0).wins >= 0.9 * 200
+    assert play_match(player("striker"), player("defender", 1), 100, 0).win_rate > 0.7
 
 
 def test_the_defender_saves_more_than_the_random_player():

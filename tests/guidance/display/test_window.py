@@ -7,7 +7,7 @@ import numpy as np
 import pygame
 import pytest
 import torch
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec
@@ -136,7 +136,6 @@ def test_predictions_are_shown_by_a_key_unless_in_an_experiment(window):
     assert marked() == [False, False]
 
 
-@settings(deadline=None)
 @given(action=st.tuples(st.floats(-1, 1), st.floats(-1, 1)), width=st.integers(MIN_WIDTH, 2000))
 def test_the_pointer_asks_for_the_place_under_it(action, width):
     arena = arena_of(width // 400)

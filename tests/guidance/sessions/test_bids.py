@@ -178,7 +178,7 @@ def test_the_report_reads_the_records_of_an_unfinished_study(records, folder):
 NUMBERS = st.one_of(st.none(), st.floats(), st.floats(width=32).map(np.float32), st.integers(-(2**53), 2**53))
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(st.fixed_dictionaries({}, optional=dict.fromkeys(COLUMNS, NUMBERS)), max_size=20), st.booleans())
 def test_ticks_come_back_with_the_same_bits(rows, as_table):
     with tempfile.TemporaryDirectory() as folder, Records(folder, FACTS) as records:
@@ -215,7 +215,7 @@ LABELS = st.text(st.sampled_from("abcXYZ019"), min_size=1, max_size=16) | st.fro
 )
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.lists(LABELS.filter(lambda label: label.lower() not in NOT_LABELS), unique_by=str.lower, max_size=4))
 def test_every_label_names_one_person(labels):
     with tempfile.TemporaryDirectory() as folder:
@@ -233,7 +233,7 @@ def test_every_label_names_one_person(labels):
             assert merge([folder])["user"].tolist() == labels
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(label=st.text() | st.sampled_from(["../P01", "P01/..", "P01\n", "", "P" * 17, "NA", "nan", "NULL", "É1", "=P1"]))
 def test_what_is_no_label_is_refused_before_anything_is_written(label, tmp_path_factory):
     folder = tmp_path_factory.getbasetemp() / "no-labels"

@@ -334,8 +334,6 @@ def bad(observation=(2, 2, 5, 12), action=(2, 2, 5, 2), dtype=torch.float32, val
         ("max_norm", lambda: next(train_maml(Gaussian(), bad(), max_norm=0.0))),
         ("lr", lambda: next(train_supervised(Gaussian(), bad(), lr=-1.0))),
         ("inner_lr", lambda: next(train_maml(Gaussian(), bad(), block=5, inner_lr=0.0))),
-        ("observation", lambda: adapt_to_user(Gaussian(), None, torch.ones(5, 12), torch.ones(5, 2), ALPHA)),
-        ("action", lambda: adapt_to_user(Gaussian(), None, torch.ones(1, 5, 12), torch.ones(1, 4, 2), ALPHA)),
     ],
 )
 def test_bad_input_is_refused_by_name(field, call):
