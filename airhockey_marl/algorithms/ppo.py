@@ -104,7 +104,6 @@ class PPOLearner:
         return {"kl": kl, "std": std.mean().item(), "critic_loss": torch.stack(losses).mean().item()}
 
     def _step(self, minibatch: TensorDictBase) -> torch.Tensor:
-        """One step of Adam on a minibatch; returns the critic's mean squared error on it."""
         losses = self.loss(minibatch)
         self.optimizer.zero_grad()
         sum(loss for name, loss in losses.items() if name.startswith("loss_")).backward()

@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CARD = "card.json"
-NOT_SETTINGS = ("resume",)  # they say where a run was written, not what it was
 
 
 def main(cfg: DictConfig) -> None:
@@ -56,7 +55,7 @@ def tabulate(cards: Mapping[Path, Mapping[str, Any]]) -> tuple[pd.DataFrame, lis
     import pandas as pd
 
     settings = pd.DataFrame([flatten_settings(card["config"]) for card in cards.values()])
-    varied = [name for name in settings if name not in NOT_SETTINGS and settings[name].nunique(dropna=False) > 1]
+    varied = [name for name in settings if name != "resume" and settings[name].nunique(dropna=False) > 1]
     results = pd.DataFrame(
         dict(
             item for key, table in card.items() if key != "config" and isinstance(table, dict) for item in table.items()

@@ -19,6 +19,5 @@ class ProgressBar:
         self._bar.update(round(100 * share) - self._bar.n)
 
     def close(self) -> None:
-        """Leave the last bar as it is."""
         if self._bar is not None:
             self._bar.close()

@@ -70,7 +70,6 @@ class RunRecord:
         return any((self.folder / name).exists() for name in GOES_ON_FROM)
 
     def write(self) -> None:
-        """Write run.json, whole."""
         write_json(self.folder / RECORD, {key: value for key, value in asdict(self).items() if key != "folder"})
 
 

@@ -7,8 +7,6 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
-SHARED = Path(__file__).parent  # base.html with the style of all pages, macros.html
-
 
 def template(folder: Path, name: str, **filters: Callable) -> Template:
     """Load a page template, which may extend `base.html` and import from `macros.html`.
@@ -16,7 +14,7 @@ def template(folder: Path, name: str, **filters: Callable) -> Template:
     `filters` come beside the common ones, `number` and `pretty` (indented JSON). An undefined variable raises.
     """
     environment = Environment(
-        loader=FileSystemLoader([folder, SHARED]),
+        loader=FileSystemLoader([folder, Path(__file__).parent]),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
