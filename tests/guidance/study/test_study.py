@@ -100,7 +100,7 @@ def test_nine_orders_are_balanced_over_multiples_of_eighteen():
 
 
 def test_a_condition_beyond_the_nine_comes_after_them(models):
-    mine, other = (replace(OAHG, spec=replace(OAHG.spec, name=n, letter=l)) for n, l in (("mine", "k"), ("other", "j")))
+    mine, other = (replace(OAHG, spec=replace(OAHG.spec, name=n, letter=k)) for n, k in (("mine", "k"), ("other", "j")))
     trials = study(models, [NHG, mine, other])
     assert (trials["position"][trials["condition"] == "mine"] == 11).all()
     assert (trials["position"][trials["condition"] == "other"] == 10).all()
