@@ -28,11 +28,7 @@ OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has 
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise for values that cannot be used.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "threads", "every")
     require_counts(cfg, "games", least=2)  # UA from one, uncertainty in the others
     require_counts(cfg, "seed", least=0)

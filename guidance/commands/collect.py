@@ -35,11 +35,7 @@ if TYPE_CHECKING:
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse what cannot run.
-
-    Raises:
-        InputError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "threads", "participants", "demonstrations.games", "demonstrations.ticks")
     require_counts(cfg, "seed", "opponent", least=0)
     if cfg.people not in ("training", "study"):

@@ -26,11 +26,7 @@ from airhockey_marl.experiment.run_folder import note_headline
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise for values that cannot be used.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "participants", "threads")
     require_counts(cfg, "seed", least=0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)

@@ -43,11 +43,7 @@ OF_A_SESSION = ("participant", "withdraw", "records", "window", "fullscreen", "w
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse what no session can be held with.
-
-    Raises:
-        InputError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "participants", "threads", "frames_per_second")
     require_counts(cfg, "seed", least=0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
@@ -71,11 +67,7 @@ def facts_of(cfg: DictConfig, models: Models, plan: SessionPlan) -> dict:
 
 
 def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
-    """What the configuration has everybody do.
-
-    Raises:
-        ValueError: something in it is not valid, or a file is missing.
-    """
+    """What the configuration has everybody do."""
     from guidance.sessions.session import SessionPlan
     from guidance.study.protocol import Protocol
     from guidance.study.provenance import load_conditions, load_opponent
@@ -170,11 +162,7 @@ def main(cfg: DictConfig) -> None:
 
 
 def withdraw(folder: Path, label: str) -> None:
-    """Delete everything of a person, whatever the study's configuration is.
-
-    Raises:
-        InputError: there are no records, or nobody of this label.
-    """
+    """Delete everything of a person, whatever the study's configuration is."""
     from guidance.sessions.bids import Records
     from guidance.sessions.json_files import load_json
 
@@ -187,11 +175,7 @@ def withdraw(folder: Path, label: str) -> None:
 
 
 def enrolled(records: Records, cfg: DictConfig) -> Participant:
-    """The participant that the configuration names, or a new one.
-
-    Raises:
-        InputError: a label that is not one, or all places are taken.
-    """
+    """The participant that the configuration names, or a new one."""
     with report_input_errors():
         label = None if cfg.participant == NEW else str(cfg.participant)
         if label not in records.places and len(records.places) >= cfg.participants:

@@ -53,11 +53,7 @@ HELD_OUT_SEED = 1_000_003  # the card's people: neither the training users nor t
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse what cannot run.
-
-    Raises:
-        InputError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "threads", "maml.epochs", "maml.block", "supervised.epochs", "supervised.batch_size")
     require_counts(cfg, "seed", least=0)
     require_counts(cfg, "demonstrations.games", least=2)  # one to adapt to and one to validate on

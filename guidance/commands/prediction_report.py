@@ -57,11 +57,7 @@ EVERY = 3  # every so many-th tick, where everybody's model predicts everybody
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse what cannot run.
-
-    Raises:
-        InputError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "threads", "demonstrations.ticks")
     require_counts(cfg, "participants", "demonstrations.games", least=2)
     require_counts(cfg, "seed", least=0)
@@ -71,11 +67,7 @@ def check(cfg: DictConfig) -> None:
 
 
 def check_amounts(cfg: DictConfig) -> None:
-    """Raise where there is not enough play for UA, or for the longest prediction.
-
-    Raises:
-        InputError: names the key, its value and what is allowed.
-    """
+    """Raise where there is not enough play for UA, or for the longest prediction."""
     most = (cfg.demonstrations.games - 1) * cfg.demonstrations.ticks * TableSpec().tick / 60
     if min(cfg.minutes) > most:
         raise InputError(f"minutes = {list(cfg.minutes)} must hold one of at most {most:.3g}, the play there is for UA")

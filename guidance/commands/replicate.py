@@ -75,11 +75,7 @@ def main(cfg: DictConfig) -> None:
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse what cannot run.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "together", "threads")
     require_counts(cfg, "participants", least=3)  # fewer cannot be tested
     require_counts(cfg, "n", "seed", "controls", "sensitivity.points", least=0)

@@ -51,11 +51,7 @@ MEASURES = {
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise for values that cannot be used.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "threads")
     require_counts(cfg, "laboratory", "per_style", least=2)
     require_counts(cfg, "seed", least=0)

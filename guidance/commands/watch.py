@@ -43,11 +43,7 @@ MOST_SKILL = 4.0  # standard deviations
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise for values that cannot be used.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "threads", "frames_per_second")
     require_counts(cfg, "seed", least=0)
     require_numbers(cfg, "seconds", at_most=LONGEST)
@@ -113,11 +109,7 @@ def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dic
 
 
 def check_film(cfg: DictConfig, ticks_per_second: int) -> None:
-    """Raise for a film that cannot be drawn.
-
-    Raises:
-        InputError: names the key, its value and what is allowed.
-    """
+    """Raise for a film that cannot be drawn."""
     require_counts(cfg, "width", least=MIN_WIDTH)
     if ticks_per_second % cfg.frames_per_second:
         raise InputError(f"frames_per_second = {cfg.frames_per_second} must divide {ticks_per_second}")
@@ -125,11 +117,7 @@ def check_film(cfg: DictConfig, ticks_per_second: int) -> None:
 
 
 def selected_person(cfg: DictConfig) -> np.ndarray:
-    """(1,) the person that the configuration asks for.
-
-    Raises:
-        InputError: there is no such archetype or skill.
-    """
+    """(1,) the person that the configuration asks for."""
     population: Population = construct(Population, cfg.users.population, "users.population")
     if cfg.user is not None and cfg.user not in population.style.archetypes:
         raise InputError(f"user = {cfg.user} must be one of {', '.join(population.style.archetypes)}, null")

@@ -94,11 +94,7 @@ class Window:
         self.on_pointer(self.arena.action_at((x, y - BAR)))
 
     def frame(self, display: DisplayState) -> list[str]:
-        """Draw a frame; returns the keys pressed since the last one, without those that the window handles.
-
-        Raises:
-            Quit: the window was closed, or escape pressed.
-        """
+        """Draw a frame; returns the keys pressed since the last one, without those that the window handles."""
         start = self.clock.now()
         keys = [key for key in self._take() if not self._handle(key)]
         self.surface.fill(PAPER)
@@ -113,11 +109,7 @@ class Window:
         return keys
 
     def page(self, page: Page) -> str:
-        """Show a page, in parts if it is long, until one of its keys is pressed; returns that key.
-
-        Raises:
-            Quit: the window was closed, or escape pressed.
-        """
+        """Show a page, in parts if it is long, until one of its keys is pressed; returns that key."""
         for part in page.parts(self.size):
             key = self._part(part)
         return key

@@ -43,11 +43,7 @@ class DeviceConfig(Protocol):
     """The settings of a device: the fields of a dataclass, which checks them."""
 
     def open(self, limits: SafetyLimits, person: SimulatedUsers | None) -> OpenDevice:
-        """Open the device behind the safety layer; `person` holds it if it is the simulated device.
-
-        Raises:
-            DeviceError: it is not there or cannot be opened.
-        """
+        """Open the device behind the safety layer; `person` holds it if it is the simulated device."""
         ...
 
 

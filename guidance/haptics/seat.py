@@ -81,11 +81,7 @@ class RealTimePlayer:
                 self.person.new_round(mask)
 
     def step(self, state: np.ndarray, force: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
-        """Apply `force` (1, 2) N to the hand until the next tick is due; returns the action (1, 2) at that time.
-
-        Raises:
-            Quit: the person quits.
-        """
+        """Apply `force` (1, 2) N to the hand until the next tick is due; returns the action (1, 2) at that time."""
         hand, clock, display, screen = self.hand, self.clock, self.display, self.screen
         hand.push((float(force[0, 0]), float(force[0, 1])), screen.has_focus)
         self.latencies.append(clock.now() - self._observed)

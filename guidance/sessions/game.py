@@ -106,11 +106,7 @@ class Game:
 
 
 def load_games(folder: Path) -> dict[str, Game]:
-    """The complete games in a folder after `recover_games`: name -> game, ordered by position.
-
-    Raises:
-        ValueError: a file was changed; the message names it.
-    """
+    """The complete games in a folder after `recover_games`: name -> game, ordered by position."""
     files = (file for file in folder.glob(f"*{BEHAVIOR}.json") if "_desc-" not in file.name)
     games = sorted(map(Game.load, files), key=lambda game: game.position)
     return {game.name: game for game in games}

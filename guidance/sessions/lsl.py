@@ -36,11 +36,7 @@ class LabStreams:
 
 
 def open_streams() -> LabStreams:
-    """Open the streams.
-
-    Raises:
-        ValueError: the package pylsl is not installed; says how to install it.
-    """
+    """Open the streams."""
     try:
         return LabStreams()
     except ModuleNotFoundError as error:

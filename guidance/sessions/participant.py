@@ -109,10 +109,6 @@ class Participant:
         Args:
             ratings: name in `guidance.simulated_users.ratings.RATINGS` -> 1 to 7.
             interview: the experimenter's note on what the person said about the game.
-
-        Raises:
-            ValueError: there is no such game, or `guidance.sessions.game.Game.rate` rejects the ratings.
-            OSError: a file could not be written.
         """
         self._require_enrolled()
         if name not in self.games:

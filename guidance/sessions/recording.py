@@ -62,10 +62,6 @@ class Recording:
             columns: descriptions of the columns, in their order.
             facts: any JSON to keep with the game, such as the device.
             games: receives the game under its name when it is complete.
-
-        Raises:
-            ValueError: a column without a name in small letters, a description or a unit.
-            OSError: the files could not be created.
         """
         for column, description in columns.items():
             if not re.fullmatch(r"[a-z][a-z0-9_]*", column):  # the keys of BIDS beside it begin with capitals
@@ -182,9 +178,6 @@ def recover_games(folder: Path) -> list[Path]:
 
     Returns:
         The tables of the interrupted games found now, under their final names.
-
-    Raises:
-        OSError: a file could not be renamed; another call goes on.
     """
     interrupted = []
     for stem in sorted({folder / file.name.partition(PARTIAL)[0] for file in folder.glob(f"*{PARTIAL}.*")}):

@@ -149,11 +149,7 @@ class Session:
         self.order = [plan.conditions[i] for i in np.argsort(places)]
 
     def run(self) -> bool:
-        """Run the open steps; returns whether the person takes part.
-
-        Raises:
-            Quit: the person quits; finished steps are kept.
-        """
+        """Run the open steps; returns whether the person takes part."""
         if not self._consented():
             return False
         if UNSCORED not in self.participant.games:

@@ -29,9 +29,6 @@ class SimulatedUsers:
         table: the `TableSpec` that they know by practice.
         variant: name of a `Variant` of the response to a force.
         advisors: players whose actions weigh in the choice of intentions; none if None.
-
-    Raises:
-        ValueError: a shape, dtype or variant is wrong.
     """
 
     def __init__(
@@ -108,9 +105,6 @@ class SimulatedUsers:
 
         Returns:
             (n, 2) float64 action in [-1, 1]: the hand's position over its reach of 0.075 m. The same array each time.
-
-        Raises:
-            ValueError: a shape is wrong or a value is not finite.
         """
         for name, value, columns in (("state", state, 12), ("force", force, 2)):
             if np.shape(value) != (self.n, columns) or np.asarray(value).dtype.kind not in "fiu":
@@ -173,9 +167,6 @@ class SimulatedUsers:
 
         Returns:
             Helpfulness, naturalness, controllability and comfort, (n,) float64 each, whole numbers in 1..7.
-
-        Raises:
-            ValueError: a scale is missing, unknown or not above 0.
         """
         if set(scales) != set(SIGNALS):
             raise ValueError(f"scales = {sorted(scales)} must be exactly {', '.join(SIGNALS)}")

@@ -50,9 +50,6 @@ def write_report(
 
     Returns:
         The tests, see `guidance.statistics.tests.run_tests`.
-
-    Raises:
-        ValueError: there are no trials, or they are not valid, see `guidance.statistics.tests.check_trials`.
     """
     if trials.empty:
         raise ValueError("no trials to report")

@@ -17,11 +17,7 @@ FORMULA = "=+-@"  # first characters of a spreadsheet formula
 
 
 def gather(places: Iterable[str | Path], mixed: bool = False) -> Group:
-    """The group of the trials at or below these places, with their manifests and the hashes of their files.
-
-    Raises:
-        ValueError: the trials are not valid, see `merge` and `guidance.statistics.tests.check_trials`.
-    """
+    """The group of the trials at or below these places, with their manifests and the hashes of their files."""
     files = find_files(places, TRIALS)
     manifests = {str(file.parent): _manifest(file) for file in files}
     manifest = next(iter(manifests.values())) if len(files) == 1 else {"runs": manifests}

@@ -76,9 +76,6 @@ def run_tests(
         `anova_not_significant`: a post hoc test after an ANOVA without a significant effect, which the paper omits.
         `significant`: p_corrected < .05 and not anova_not_significant. `proxy`: a rating that is a proxy.
         Statistic and p are NaN where the differences do not vary.
-
-    Raises:
-        ValueError: the trials are not valid, see `check_trials`.
     """
     check_trials(trials, people)
     rows: list[dict[str, Any]] = []

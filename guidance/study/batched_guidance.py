@@ -39,9 +39,6 @@ class BatchedGuidance:
         models: see `Models`.
         adapted: the users' own parameters, batch size (users,), or None if no condition has UA.
         lookahead_seconds: T_lookahead of Eq. 4.
-
-    Raises:
-        ValueError: a condition has UA and `adapted` is not of all users, or the look-ahead is negative.
     """
 
     def __init__(

@@ -31,9 +31,6 @@ def collect_demonstrations(
     Returns:
         `Demonstrations`: observations (users, games, ticks, 12) and actions (users, games, ticks, 2), float32. The
         action of a tick is the hand position at its end, the observation that at its beginning.
-
-    Raises:
-        ValueError: `games` or `ticks` is below 1.
     """
     check_counts(games=games, ticks=ticks)
     users = len(people)

@@ -34,32 +34,20 @@ def condition_specs(cfg: DictConfig, warn: Callable[[str], None] = lambda text: 
 
 
 def load_conditions(cfg: DictConfig) -> list[Condition]:
-    """The conditions of `condition_specs`, ready to be played.
-
-    Raises:
-        ValueError: as `condition_specs`, or a setting of the guidance is out of range.
-    """
+    """The conditions of `condition_specs`, ready to be played."""
     settings = GuidanceSettings.from_config(cfg.guidance)
     specs = condition_specs(cfg, lambda text: print(f"note: {text}", file=sys.stderr))
     return [build_condition(spec, settings) for spec in specs]
 
 
 def load_models(cfg: DictConfig, device: str = "cpu") -> Models:
-    """The models of the configuration, evaluated on `device`.
-
-    Raises:
-        ValueError: a file is missing or broken, or the league has no such generation.
-    """
+    """The models of the configuration, evaluated on `device`."""
     files = cfg.models
     return Models.load(files.league, files.get("generation", -1), files.user, files.meta, device)
 
 
 def load_opponent(cfg: DictConfig, device: str = "cpu") -> Player:
-    """The opponent of the configuration, which plays its mean action, evaluated on `device`.
-
-    Raises:
-        ValueError: the file is missing or broken, or the league has no such generation.
-    """
+    """The opponent of the configuration, which plays its mean action, evaluated on `device`."""
     return greedy_player(League.load(cfg.models.opponents).player(cfg.opponent), device)
 
 

@@ -52,11 +52,7 @@ class Batch:
 
 
 class Studies:
-    """Plays the batches of a configuration.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Plays the batches of a configuration."""
 
     def __init__(self, cfg: DictConfig) -> None:
         self.cfg = cfg

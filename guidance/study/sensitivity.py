@@ -18,9 +18,6 @@ def latin_hypercube(parameters: Sequence[str], points: int, largest: float, seed
 
     Returns:
         (points, parameters): in each column every one of `points` equal slices of the range occurs once.
-
-    Raises:
-        ValueError: `points` is below 1, `largest` not above 1, or a parameter occurs twice.
     """
     check_counts(**{"sensitivity.points": points})
     check_numbers(above=1.0, **{"sensitivity.largest": largest})
@@ -36,9 +33,6 @@ def scale_assumptions(population: Population, factors: Mapping[str, float]) -> P
 
     Of a log-normal parameter the median and the clip are scaled, of a Beta its scale; no proportion exceeds 1. A
     utility, `utility_weights.<name>`, has no natural zero: ln(factor) is added to its constant.
-
-    Raises:
-        ValueError: a parameter does not exist.
     """
     parameters, changes, utilities = population.parameters(), {}, dict(population.intention.utility_weights)
     for name, factor in factors.items():

@@ -70,9 +70,6 @@ class Demonstrations:
 
         Yields:
             Two pairs of observation (users, block, 12) and action (users, block, 2).
-
-        Raises:
-            ValueError: fewer than two games per user, or ``block`` not from 1 to the ticks of a game.
         """
         users, games, ticks = self.action.shape[:3]
         if games < 2:

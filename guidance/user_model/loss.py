@@ -17,9 +17,6 @@ def prediction_loss(mean: Tensor, std: Tensor, action: Tensor) -> Tensor:
 
     Returns:
         The mean over all N samples, a scalar.
-
-    Raises:
-        ValueError: the shapes differ, which would broadcast unnoticed.
     """
     for name, tensor in (("mean", mean), ("std", std)):
         if tensor.shape != action.shape:

@@ -75,9 +75,6 @@ def forward_stacked(model: nn.Module, params: TensorDict, *inputs: Tensor) -> An
 
     Returns:
         What the model returns, with the leading dimension users: (users, n, ...).
-
-    Raises:
-        ValueError: ``params`` and ``inputs`` do not have the same number of users.
     """
     for tensor in inputs:
         if not isinstance(tensor, Tensor):
@@ -135,9 +132,6 @@ def adapt_stacked(
 
     Returns:
         The adapted parameters stacked, batch size (users,).
-
-    Raises:
-        ValueError: as :func:`adapt`, or the tensors of ``demo`` differ in the number of users.
     """
 
     def adapt_one(data: Any) -> TensorDict:
@@ -162,9 +156,6 @@ def meta_loss(
 
     Returns:
         A scalar.
-
-    Raises:
-        ValueError: as :func:`adapt`, or ``demo`` and ``valid`` differ in the number of users.
     """
     return torch.vmap(loss)(adapt_stacked(params, loss, demo, lr, steps, first_order), valid).sum()
 
@@ -186,9 +177,6 @@ class MAML:
     Attributes:
         model: the module; never changed by adaptation.
         params: the parameters this learner uses, at first those of the model.
-
-    Raises:
-        ValueError: ``lr`` is not positive and finite.
     """
 
     def __init__(self, model: nn.Module, lr: float, first_order: bool = False):

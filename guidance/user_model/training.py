@@ -50,7 +50,6 @@ def train_supervised(
         After each epoch ``epoch`` (from 1) and ``loss``, the mean over its ticks, measured during the epoch.
 
     Raises:
-        ValueError: ``epochs``, ``batch_size`` or ``lr`` is out of range.
         FloatingPointError: the loss or its gradient is no longer finite.
     """
     _require_schedule(epochs, done, lr)
@@ -110,7 +109,6 @@ def train_maml(
         and ``loss_before``, the same without adaptation, L(theta, D_valid); both measured during the epoch.
 
     Raises:
-        ValueError: a number is out of range, or the data have fewer than two games per user.
         FloatingPointError: the loss or its gradient is no longer finite.
     """
     _require_schedule(epochs, done, lr)
@@ -162,9 +160,6 @@ def adapt_to_user(
     Returns:
         Each user's parameters, batch size (users,), without a graph; for :func:`maml.forward_stacked`, or
         ``adapted[i]`` for one user.
-
-    Raises:
-        ValueError: a shape is wrong, or ``lr`` or ``steps`` out of range.
     """
     check_tensors(observation=(observation, "users ticks 12"), action=(action, "users ticks 2"))
     return adapt_stacked(params, partial(_data_loss, model), (observation, action), lr, steps)

@@ -146,11 +146,7 @@ class ForceDimension:
 
     @property
     def position(self) -> Pair:
-        """(2,) m, of the hand relative to the center.
-
-        Raises:
-            DeviceError: it cannot be read.
-        """
+        """(2,) m, of the hand relative to the center."""
         last, last_time = tuple(self._position), self._position_time
         self._do(self._dhd.getPosition, self._position)
         self._position_time = time.perf_counter()
@@ -160,11 +156,7 @@ class ForceDimension:
 
     @property
     def velocity(self) -> Pair:
-        """(2,) m/s, of the hand when its position was last read.
-
-        Raises:
-            DeviceError: it cannot be read.
-        """
+        """(2,) m/s, of the hand when its position was last read."""
         dhd = self._dhd
         if dhd.getLinearVelocity(self._velocity, self._id) < 0:
             # after a pause longer than its window, the SDK has too few positions: use the last two
@@ -200,11 +192,7 @@ class ForceDimension:
         self._force_time = time.perf_counter()
 
     def relax(self) -> None:
-        """Apply no force at all, not even that of the plane, and re-enable forces that the watchdog has dropped.
-
-        Raises:
-            DeviceError: it cannot be set.
-        """
+        """Apply no force at all, not even that of the plane, and re-enable forces that the watchdog has dropped."""
         self._grip = 0.0
         self._do(self._dhd.setForce, (0.0, 0.0, 0.0))
         if self.watchdog and time.perf_counter() - self._force_time > WATCHDOG_UNITS * WATCHDOG_UNIT:
@@ -212,11 +200,7 @@ class ForceDimension:
         self._force_time = time.perf_counter()
 
     def close(self) -> None:
-        """Drop the force, brake and release the device; each step runs even if the one before fails.
-
-        Raises:
-            DeviceError: a step failed.
-        """
+        """Drop the force, brake and release the device; each step runs even if the one before fails."""
         if not self._open:
             return
         self._open, dhd, failed = False, self._dhd, []

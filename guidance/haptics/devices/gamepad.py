@@ -57,9 +57,6 @@ class Gamepad(PointerHand):
         limit: N, the force at which the pad rumbles fully.
         dead_zone: fraction of the stick's travel around its center that counts as the center.
         person, max_speed: see `PointerHand`.
-
-    Raises:
-        ValueError: a number is out of range.
     """
 
     def __init__(
@@ -85,11 +82,7 @@ class Gamepad(PointerHand):
 
     @property
     def position(self) -> Pair:
-        """(2,) m, of the hand relative to the center.
-
-        Raises:
-            DeviceError: the pad is disconnected.
-        """
+        """(2,) m, of the hand relative to the center."""
         if not self._connected:
             raise DeviceError("the gamepad is gone; leave, plug it in, and go on")
         return super().position

@@ -34,9 +34,6 @@ class PointerHand:
     Args:
         person: whose arm it is, a record of dtype `USER_PARAMETERS`; None for the median arm.
         max_speed: m/s at which the hand follows; a pointer can jump, a hand cannot.
-
-    Raises:
-        ValueError: `max_speed` is not above 0.
     """
 
     def __init__(self, person: np.void | None = None, max_speed: float = MAX_SPEED) -> None:
@@ -67,11 +64,7 @@ class PointerHand:
         self._force = (0.0, 0.0)
 
     def point(self, x: float, y: float) -> None:
-        """Set the pointer, in m; outside the reach, it is clipped to the edge.
-
-        Raises:
-            ValueError: a coordinate is not a number.
-        """
+        """Set the pointer, in m; outside the reach, it is clipped to the edge."""
         for name, value in (("x", x), ("y", y)):
             if value != value:
                 raise ValueError(f"{name} = {value} must be a number, in m")

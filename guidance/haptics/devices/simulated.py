@@ -16,9 +16,6 @@ class Simulated:
 
     Args:
         users: one person, whose rounds and games their owner begins by `users.new_round` and `users.new_game`.
-
-    Raises:
-        ValueError: not one person, or a tick that is not a whole number of servo steps.
     """
 
     is_held = True
@@ -58,9 +55,6 @@ class Simulated:
         Args:
             seconds: s, a whole number of ms.
             state: (12,) float64, the game as the person observes it; used at the beginning of a tick only.
-
-        Raises:
-            ValueError: not whole ms, or `SimulatedUsers.step` rejects the state or the force.
         """
         steps = round(1000 * seconds)
         if steps < 1 or abs(1000 * seconds - steps) > 1e-6:

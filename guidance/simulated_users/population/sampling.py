@@ -47,9 +47,6 @@ def sample_people(n: int, seed: int, population: Population | None = None, arche
 
     Returns:
         (n,) structured array of dtype `USER_PARAMETERS`. The first k are the same people for every n.
-
-    Raises:
-        ValueError: n below 1, a negative seed or an unknown archetype.
     """
     check_counts(people=n)
     return _sample([archetype] * n, seed, PeopleStream.STUDY, population)

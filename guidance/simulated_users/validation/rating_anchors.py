@@ -65,9 +65,6 @@ def play_anchor(
 
     Returns:
         The people after the game, with their `signals` and `ratings`.
-
-    Raises:
-        ValueError: the anchor is unknown, or `seconds` not above 0.
     """
     if anchor not in (*ANCHORS, "none"):
         raise ValueError(f"anchor = {anchor!r} must be one of {', '.join(ANCHORS)}, none")
