@@ -113,8 +113,7 @@ def run(
     from guidance.simulated_users import sample_people, training_people
     from guidance.study.demonstrations import collect_demonstrations
     from guidance.study.models import save_user_model
-    from guidance.user_model.data import Demonstrations
-    from guidance.user_model.rounds import action_ahead
+    from guidance.user_model.data import Demonstrations, action_ahead
 
     progress = ProgressBar()
 

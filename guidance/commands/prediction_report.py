@@ -31,7 +31,7 @@ from guidance.simulated_users.force_response import check_variant
 from guidance.study.demonstrations import collect_demonstrations
 from guidance.study.models import Models
 from guidance.study.provenance import load_models, load_opponent
-from guidance.user_model.data import Demonstrations
+from guidance.user_model.data import Demonstrations, action_ahead
 from guidance.user_model.evaluation import (
     Predictor,
     adapted_model,
@@ -43,7 +43,6 @@ from guidance.user_model.evaluation import (
 )
 from guidance.user_model.figures import draw_adaptation, draw_horizons, draw_reliability
 from guidance.user_model.maml import parameters
-from guidance.user_model.rounds import action_ahead
 from guidance.user_model.training import adapt_to_user
 
 NAMES = {

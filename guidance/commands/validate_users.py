@@ -149,7 +149,7 @@ def at_the_table(
     from guidance.simulated_users import sample_people
     from guidance.simulated_users.validation.playstyles import classify_styles, features, identification_rate
     from guidance.study.demonstrations import collect_demonstrations
-    from guidance.user_model.rounds import hand_speed
+    from guidance.user_model.data import hand_speed
 
     table = TableSpec()
     ticks, how = round(seconds / table.tick), (table, variant, advisors)

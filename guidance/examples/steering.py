@@ -18,7 +18,7 @@ from torch import Generator, Tensor, nn
 
 from guidance.forces.equations import combine, lookahead_state, similarity_weight, spring_force
 from guidance.study.metrics import disagreement
-from guidance.user_model.loss import prediction_loss
+from guidance.user_model.training import prediction_loss
 from guidance.user_model.maml import adapt_stacked, forward, forward_stacked, meta_loss, parameters
 
 TICK, SUBSTEPS = 0.02, 10  # s, and steps of the arm in one

@@ -14,8 +14,8 @@ from airhockey_marl.league.league import League, require_finite, require_weights
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.forces.conditions import OPTIMAL
 from guidance.forces.equations import lookahead_state
+from guidance.user_model.data import action_ahead
 from guidance.user_model.maml import parameters
-from guidance.user_model.rounds import action_ahead
 from guidance.user_model.training import adapt_to_user
 
 

@@ -15,8 +15,7 @@ from tensordict import TensorDict
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.files import atomic_write, sha256
 from guidance.simulated_users.arm import HAND_REACH
-from guidance.user_model.data import Demonstrations
-from guidance.user_model.rounds import hand_speed, round_starts
+from guidance.user_model.data import Demonstrations, hand_speed, round_starts
 
 TENSORS, ROWS, PEOPLE, CARD = "demonstrations", "demonstrations.parquet", "people.csv", "card.json"
 ABOUT = "air hockey without guidance, played by SIMULATED people: no human being took part"

@@ -16,8 +16,8 @@ from torch import Tensor, nn
 
 from airhockey_marl.envs.physics import TableSpec, action_range
 from guidance.forces.equations import lookahead_state
+from guidance.user_model.data import action_ahead, round_starts
 from guidance.user_model.maml import forward, parameters
-from guidance.user_model.rounds import action_ahead, round_starts
 from guidance.user_model.training import adapt_to_user
 
 # Observations (ticks, 12) and a horizon in seconds -> mean and STD (ticks, 2) of the action at that horizon.

@@ -19,10 +19,25 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.func import grad_and_value
 
-from airhockey_marl.experiment.validation import check_counts, check_numbers, check_tensors
 from guidance.user_model.data import Demonstrations, Samples
-from guidance.user_model.loss import prediction_loss
 from guidance.user_model.maml import adapt_stacked, forward, meta_loss, parameters
+
+
+def prediction_loss(mean: Tensor, std: Tensor, action: Tensor) -> Tensor:
+    """Eq. 3 as printed: mean of ||y - y_hat||^2 / (2 ||sigma||^2) + ln(||sigma||^2) / 2 over the samples.
+
+    ||sigma||^2 is the sum over both axes. At a fixed error the loss is least where ||sigma||^2 equals the squared
+    error, so the norm of the STD learns the size of the error; its split between the axes is not trained. (The
+    likelihood of a two-dimensional Gaussian would weigh the logarithm differently; this is the paper's loss.)
+
+    Args:
+        mean: y_hat, the predicted mean, (..., 2), in units of action.
+        std: sigma, the predicted standard deviation > 0, (..., 2).
+        action: y, the action taken, (..., 2).
+    """
+    variance = std.square().sum(dim=-1)  # ||sigma||^2, (...)
+    squared_error = (action - mean).square().sum(dim=-1)  # (...)
+    return (squared_error / (2 * variance) + variance.log() / 2).mean()
 
 
 def train_supervised(
@@ -52,8 +67,6 @@ def train_supervised(
     Raises:
         FloatingPointError: the loss or its gradient is no longer finite.
     """
-    _require_schedule(epochs, done, lr)
-    check_counts(batch_size=batch_size)
     optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
     for epoch in range(done + 1, epochs + 1):
         total, ticks = 0.0, 0
@@ -111,11 +124,6 @@ def train_maml(
     Raises:
         FloatingPointError: the loss or its gradient is no longer finite.
     """
-    _require_schedule(epochs, done, lr)
-    check_counts(steps=steps)
-    check_numbers(above=0.0, inner_lr=inner_lr)
-    if not max_norm > 0:
-        raise ValueError(f"max_norm: {max_norm}, must be positive, inf for no clipping")
     optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
     params, objective, users = parameters(model), partial(_data_loss, model), len(data.action)
 
@@ -161,7 +169,6 @@ def adapt_to_user(
         Each user's parameters, batch size (users,), without a graph; for :func:`maml.forward_stacked`, or
         ``adapted[i]`` for one user.
     """
-    check_tensors(observation=(observation, "users ticks 12"), action=(action, "users ticks 2"))
     return adapt_stacked(params, partial(_data_loss, model), (observation, action), lr, steps)
 
 
@@ -177,9 +184,3 @@ def _step(optimizer: torch.optim.Optimizer, loss: Tensor, epoch: int, max_norm: 
     if not (loss.isfinite() and norm.isfinite()):  # before the step, which keeps the last finite model
         raise FloatingPointError(f"loss: {loss.item()}, gradient {norm.item()} in epoch {epoch}, must be finite")
     optimizer.step()
-
-
-def _require_schedule(epochs: int, done: int, lr: float) -> None:
-    check_counts(epochs=epochs)
-    check_counts(0, done=done)
-    check_numbers(above=0.0, lr=lr)

@@ -33,8 +33,8 @@ from guidance.commands.meta_train import COMPILERS
 from guidance.simulated_users import SimulatedUsers, load_advisors, personal_streams, sample_people
 from guidance.study.setup import load_setup
 from guidance.study.study import run_study
-from guidance.user_model.loss import prediction_loss
 from guidance.user_model.maml import forward, meta_loss, parameters
+from guidance.user_model.training import prediction_loss
 from tests.benchmarks.peer_maml import peer_maml
 from tests.benchmarks.peer_trpo import peer_frames
 from tests.benchmarks.seat import seat_punctuality

@@ -20,9 +20,7 @@ from guidance.haptics.safety import SafetyLimits
 from guidance.simulated_users import SimulatedUsers, personal_streams, sample_people
 from guidance.study.metrics import RunningMoments, disagreement
 from guidance.user_model.data import Demonstrations
-from guidance.user_model.loss import prediction_loss
-from guidance.user_model.maml import adapt, forward_stacked, parameters
-from guidance.user_model.training import adapt_to_user, train_maml, train_supervised
+from guidance.user_model.maml import adapt, parameters
 
 GAME = AirHockey()
 GAME.reset(seed=0)
@@ -30,7 +28,6 @@ TWO, POLICY = World(2), GaussianPolicy([4])
 ACTIONS, ROWS = np.zeros((2, 2, 2)), np.array([0, 1])
 VECTOR, ELSEWHERE = torch.zeros(3, 2), torch.zeros(3, 2, device="meta")
 SEEN, DONE = torch.zeros(2, 3, 5, 12), torch.zeros(2, 3, 5, 2)
-DATA = Demonstrations(SEEN, DONE)
 PEOPLE = SimulatedUsers(sample_people(2, 0), personal_streams(2, 0))
 
 
@@ -100,17 +97,10 @@ TABLE = [
     (lambda: RunningMoments(2).add(np.array([2]), np.ones(1)), r"games: from 2 to 2, must be from 0 to 1"),
     (lambda: PEOPLE.step(np.zeros((2, 12)), np.zeros((2, 2)), ROWS + 1), r"rows: from 1 to 2, must be from 0 to 1"),
     # learning
-    (lambda: forward_stacked(POLICY, parameters(POLICY), SEEN), r"inputs: shape \(2, 3, 5, 12\), must begin with"),
     (lambda: Demonstrations(SEEN[0], DONE), r"observation: shape \(3, 5, 12\), must be \(users, games, ticks, 12\)"),
     (lambda: Demonstrations(SEEN, DONE.double()), r"action: .* must match observation"),
     (lambda: Demonstrations(SEEN * math.nan, DONE), r"observation: 360 values are not finite"),
-    (lambda: next(DATA.pairs(6)), r"block: 6 ticks, must be within 1 and 5"),
-    (lambda: prediction_loss(VECTOR, VECTOR, torch.zeros(3, 3)), r"mean: shape \(3, 2\), must be \(3, 3\) as action"),
-    (lambda: next(train_supervised(POLICY, DATA, epochs=0)), r"epochs = 0 must be a whole number of at least 1"),
-    (lambda: next(train_maml(POLICY, DATA, lr=math.nan)), r"lr = nan must be a finite number above 0"),
-    (lambda: next(train_maml(POLICY, DATA, max_norm=0.0)), r"max_norm: 0\.0, must be positive"),
     (lambda: adapt(parameters(POLICY), lambda p: None, 0.1, steps=0), r"steps: 0, must be a whole number"),
-    (lambda: adapt_to_user(POLICY, parameters(POLICY), SEEN[0], DONE[0, :1], 0.1), r"action: shape \(1, 5, 2\)"),
 ]
 
 
