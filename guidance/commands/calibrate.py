@@ -60,7 +60,7 @@ def main(cfg: DictConfig) -> None:
     )
     from guidance.study.games import Games, no_force, play_games
     from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states
-    from guidance.study.provenance import load_models
+    from guidance.study.setup import load_models
 
     with report_input_errors():
         check_variant(cfg.users.variant)

@@ -45,8 +45,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.statistics.report import screen_table, write_report
     from guidance.statistics.tensorboard import Histograms, log_study
     from guidance.study.protocol import is_balanced, williams_design
-    from guidance.study.provenance import file_hashes, manifest
-    from guidance.study.setup import load_setup
+    from guidance.study.setup import file_hashes, load_setup, manifest
     from guidance.study.study import run_study
 
     began = time.perf_counter()

@@ -54,7 +54,7 @@ def check(cfg: DictConfig) -> None:
 
 def facts_of(cfg: DictConfig, models: Models, plan: SessionPlan) -> dict:
     """The manifest of the study; two with other devices, limits, questions or kinds of people are not the same one."""
-    from guidance.study.provenance import file_hashes, manifest
+    from guidance.study.setup import file_hashes, manifest
 
     facts = manifest(cfg, file_hashes(cfg, models), "", 0.0)
     who = "simulated" if cfg.device.kind == "simulated" else "people"
@@ -70,7 +70,7 @@ def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
     """What the configuration has everybody do."""
     from guidance.sessions.session import SessionPlan
     from guidance.study.protocol import Protocol
-    from guidance.study.provenance import load_conditions, load_opponent
+    from guidance.study.setup import load_conditions, load_opponent
 
     consent = Path(cfg.consent)
     if not consent.is_file():
@@ -98,10 +98,9 @@ def main(cfg: DictConfig) -> None:
 
     from airhockey_marl.envs.physics import TableSpec
     from guidance.display.window import MIN_WIDTH, Window
-    from guidance.haptics.clock import SimulatedClock, WallClock
     from guidance.haptics.open_device import DEVICES, device_session
     from guidance.haptics.safety import SafetyLimits
-    from guidance.haptics.screen import NullDisplay, Quit, quit_on_signals
+    from guidance.haptics.screen import NullDisplay, Quit, SimulatedClock, WallClock, quit_on_signals
     from guidance.haptics.seat import RealTimePlayer
     from guidance.sessions.bids import Records
     from guidance.sessions.lsl import open_streams
@@ -109,7 +108,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.sessions.simulated_participant import SimulatedParticipant
     from guidance.simulated_users import Population, sample_people
     from guidance.simulated_users.force_response import check_variant
-    from guidance.study.provenance import load_models
+    from guidance.study.setup import load_models
 
     with report_input_errors():
         require_counts(cfg, "width", least=MIN_WIDTH)

@@ -71,7 +71,7 @@ def main(cfg: DictConfig) -> float:
     from airhockey_marl.players.networks import GaussianPolicy
     from guidance.simulated_users import Population, load_advisors
     from guidance.simulated_users.force_response import check_variant
-    from guidance.study.provenance import load_opponent
+    from guidance.study.setup import load_opponent
 
     with report_input_errors():
         if cfg.resume is not None:

@@ -48,16 +48,15 @@ def main(cfg: DictConfig) -> None:
     from airhockey_marl.league.league import League
     from guidance.display.window import MIN_WIDTH, Window
     from guidance.forces.conditions import ADAPTED, Condition
-    from guidance.haptics.clock import WallClock
     from guidance.haptics.open_device import DEVICES, device_session
     from guidance.haptics.safety import SafetyLimits
-    from guidance.haptics.screen import quit_on_signals
+    from guidance.haptics.screen import WallClock, quit_on_signals
     from guidance.haptics.seat import RealTimePlayer
     from guidance.sessions.free_play import FreePlay
     from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
     from guidance.simulated_users.force_response import check_variant
     from guidance.study.protocol import CALIBRATION_GAME, Protocol, RandomStream, spawn_rng_states
-    from guidance.study.provenance import load_conditions, load_models
+    from guidance.study.setup import load_conditions, load_models
 
     with report_input_errors():
         require_counts(cfg, "width", least=MIN_WIDTH)

@@ -30,7 +30,7 @@ from guidance.simulated_users import Population, load_advisors, sample_people
 from guidance.simulated_users.force_response import check_variant
 from guidance.study.demonstrations import collect_demonstrations
 from guidance.study.models import Models
-from guidance.study.provenance import load_models, load_opponent
+from guidance.study.setup import load_models, load_opponent
 from guidance.user_model.data import Demonstrations, action_ahead
 from guidance.user_model.evaluation import (
     Predictor,

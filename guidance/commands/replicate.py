@@ -37,8 +37,8 @@ def main(cfg: DictConfig) -> None:
 
     from guidance.simulated_users.force_response import check_variant
     from guidance.statistics.replication_report import summarize
-    from guidance.study.provenance import file_hashes, frozen_study, manifest
     from guidance.study.replication import STATE, Studies, batches_of, on_ray, one_by_one
+    from guidance.study.setup import file_hashes, frozen_study, manifest
 
     with report_input_errors():
         if cfg.resume is not None:

@@ -67,7 +67,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.simulated_users.force_response import Variant, check_variant
     from guidance.simulated_users.validation.figures import draw_places, draw_push, draw_shots, draw_speeds
     from guidance.simulated_users.validation.motor_tasks import push_response
-    from guidance.study.provenance import load_opponent
+    from guidance.study.setup import load_opponent
 
     with report_input_errors():
         check_variant(cfg.users.variant)

@@ -29,14 +29,13 @@ from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.experiment.registry import construct
 from guidance.display.film import MIN_WIDTH, FilmInfo, draw_sheet, save_film
 from guidance.forces.conditions import ADAPTED
-from guidance.sessions.replay import load_recorded_part
+from guidance.sessions.tick_log import TickLog, load_recorded_part, scene_facts, tapped_guidance
 from guidance.simulated_users import Population, SimulatedUsers, sample_people
 from guidance.simulated_users.force_response import check_variant
 from guidance.simulated_users.intention import Intention
 from guidance.study.games import GameRunner, no_force, play_games
 from guidance.study.protocol import CALIBRATION_GAME, RandomStream, spawn_rng_states
 from guidance.study.setup import StudySetup, load_setup
-from guidance.study.tick_log import TickLog, scene_facts, tapped_guidance
 
 LONGEST = 60  # s: all pictures of a film are in memory together
 MOST_SKILL = 4.0  # standard deviations
@@ -138,8 +137,8 @@ def play(
         serves: (1,) uint64, the table's random numbers.
 
     Returns:
-        A row per tick, see `guidance.study.tick_log.COLUMNS`, with the desired position of the hand (wanted_x and _y,
-        in m of the hand) and the intention.
+        A row per tick, see `guidance.sessions.tick_log.COLUMNS`, with the desired position of the hand (wanted_x and
+        _y, in m of the hand) and the intention.
     """
     (condition,) = setup.conditions
     guidance, tap = tapped_guidance(condition, setup.models, adapted, setup.lookahead_seconds)

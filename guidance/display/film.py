@@ -1,6 +1,6 @@
 """Films of a recorded game: single frames, an animated film, and a sheet of six frames.
 
-They are drawn from a table of ticks, see `guidance.study.tick_log`. For a simulated person, the table also has the
+They are drawn from a table of ticks, see `guidance.sessions.tick_log`. For a simulated person, the table also has the
 desired position of the hand (wanted_x, wanted_y, in m of the hand) and the intention.
 """
 

@@ -13,8 +13,7 @@ from guidance.display.arena import Arena
 from guidance.display.drawing import clear_caches, render, veil, write
 from guidance.display.pages import Items, Page
 from guidance.display.scene import FORCE, GRAY, INK, PAPER
-from guidance.haptics.clock import Clock
-from guidance.haptics.screen import DisplayState, Quit
+from guidance.haptics.screen import Clock, DisplayState, Quit
 
 HINT = "h help   space pause   esc leave"
 BAR, FOOT, EDGE = 54, 54, 16  # px

@@ -18,8 +18,8 @@ from torch import Generator, Tensor, nn
 
 from guidance.forces.equations import combine, lookahead_state, similarity_weight, spring_force
 from guidance.study.metrics import disagreement
-from guidance.user_model.training import prediction_loss
 from guidance.user_model.maml import adapt_stacked, forward, forward_stacked, meta_loss, parameters
+from guidance.user_model.training import prediction_loss
 
 TICK, SUBSTEPS = 0.02, 10  # s, and steps of the arm in one
 STIFFNESS, LIMIT, LOOKAHEAD = 40.0, 3.0, 0.1  # N/m, N, s: K T_lookahead is 0.8 of the least damping of a hand, 5 N s/m

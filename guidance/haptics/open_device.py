@@ -14,8 +14,7 @@ from airhockey_marl.experiment.command import InputError
 from airhockey_marl.experiment.registry import Registry
 from guidance.haptics.devices import DeviceError
 from guidance.haptics.devices.gamepad import Gamepad, open_gamepad
-from guidance.haptics.devices.mouse import Mouse
-from guidance.haptics.devices.pointer import MAX_SPEED
+from guidance.haptics.devices.pointer import MAX_SPEED, Mouse
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.hand import HapticHand
 from guidance.haptics.safety import SafetyLimits

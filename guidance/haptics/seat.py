@@ -10,11 +10,10 @@ from math import inf
 
 import numpy as np
 
-from guidance.haptics.clock import Clock
 from guidance.haptics.hand import HapticHand
 from guidance.haptics.safety import NO_FORCE
-from guidance.haptics.screen import DisplayState, Screen
-from guidance.haptics.servo_loop import PERIOD
+from guidance.haptics.screen import Clock, DisplayState, Screen
+from guidance.haptics.servo import PERIOD
 from guidance.simulated_users import SimulatedUsers
 from guidance.simulated_users.arm import HAND_REACH
 

@@ -69,7 +69,7 @@ class Records:
 
         Args:
             folder: created if absent.
-            manifest: of the study, see `guidance.study.provenance.manifest`; any JSON with `study_hash` and `seed`.
+            manifest: of the study, see `guidance.study.setup.manifest`; any JSON with `study_hash` and `seed`.
 
         Raises:
             ValueError: another process has the folder, or the folder holds another study or none; in one line.

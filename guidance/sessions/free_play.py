@@ -17,9 +17,9 @@ from guidance.haptics.screen import Quit
 from guidance.haptics.seat import RealTimePlayer
 from guidance.sessions.game import Game
 from guidance.sessions.recording import Recording
+from guidance.sessions.tick_log import COLUMNS, TickLog, demonstration, scene_facts, tapped_guidance
 from guidance.study.games import GameRunner, MetricsRecorder
 from guidance.study.models import Models
-from guidance.study.tick_log import COLUMNS, TickLog, demonstration, scene_facts, tapped_guidance
 
 MIN_DEMONSTRATION_TICKS = 500  # 10 s; half a minute of play adapts as well as eight minutes
 NOTE_SECONDS = 3.0  # s for which a note is shown

@@ -21,11 +21,11 @@ from guidance.haptics.seat import RealTimePlayer
 from guidance.sessions.game import UNSCORED
 from guidance.sessions.participant import Participant
 from guidance.sessions.recording import Recording
+from guidance.sessions.tick_log import COLUMNS, TickLog, demonstration, read_ticks, scene_facts, tapped_guidance
 from guidance.simulated_users.ratings import RATINGS
 from guidance.study.games import GameRunner, GameStep, play_games
 from guidance.study.models import Models
 from guidance.study.protocol import CALIBRATION_GAME, Protocol, RandomStream, counterbalanced_order, spawn_rng_states
-from guidance.study.tick_log import COLUMNS, TickLog, demonstration, read_ticks, scene_facts, tapped_guidance
 
 WELCOME = (
     "You play at the left side, in blue. The paddle follows your hand. Whoever gets the puck into the other's goal "

@@ -28,8 +28,8 @@ from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.haptics.safety import Safety, SafetyLimits
 from guidance.statistics.design import CONDITIONS, METRICS
+from guidance.statistics.groups import merge
 from guidance.statistics.report import write_report
-from guidance.statistics.runs import merge
 from guidance.study.models import Models, load_user_model
 from tests import ROOT
 from tests.robustness.fuzz_inputs import ACCEPTED, KINDS, REFUSED, Trap, fuzz

@@ -1,4 +1,4 @@
-"""A virtual hand at a pointer, which a force deflects as it deflects a simulated person's arm."""
+"""A virtual hand at a pointer, which a force deflects as it deflects a simulated person's arm; a mouse has one."""
 
 from math import ceil, hypot
 
@@ -85,3 +85,17 @@ class PointerHand:
         x = clip_reach(self._base[0] + float(self._arm["hand_x"]))
         y = clip_reach(self._base[1] + float(self._arm["hand_y"]))
         self._position, self._velocity = (x, y), ((x - old_x) / seconds, (y - old_y) / seconds)
+
+
+class Mouse(PointerHand):
+    """A `VirtualDevice` whose hand is at the mouse's pointer, see `PointerHand`; nothing pushes the real hand."""
+
+    is_held = True  # `HapticHand.push` reports whether the window has the focus
+
+    def advance(self, seconds: float, state: np.ndarray) -> None:
+        """Simulate the passing of time; the game's state has no effect."""
+        self.move(seconds)
+
+    def close(self) -> None:
+        """Apply no force."""
+        self.relax()

@@ -30,13 +30,13 @@ from guidance.forces.conditions import (
     Thresholds,
 )
 from guidance.forces.equations import uncertainty_weight
+from guidance.sessions.tick_log import ACTION, STATE
 from guidance.simulated_users import NO_ADVISORS, SimulatedUsers, sample_people
 from guidance.simulated_users.arm import HAND_REACH
 from guidance.study.games import play_games
 from guidance.study.models import Models
 from guidance.study.protocol import Protocol, spawn_rng_states
 from guidance.study.setup import StudySetup
-from guidance.study.tick_log import ACTION, STATE
 
 TABLE, SPRING = TableSpec(), Spring(50.0, 3.0, HAND_REACH)
 NHG = Condition(ConditionSpec("nhg", "a", "NHG"), NoGuidance())

@@ -10,8 +10,7 @@ from airhockey_marl.envs.physics import LEFT, TableSpec
 from airhockey_marl.envs.world import World
 from guidance.haptics.devices import DeviceError
 from guidance.haptics.devices.gamepad import RUMBLE_MS, Gamepad, open_gamepad
-from guidance.haptics.devices.mouse import Mouse
-from guidance.haptics.devices.pointer import MAX_SPEED, PointerHand, median_person
+from guidance.haptics.devices.pointer import MAX_SPEED, Mouse, PointerHand, median_person
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
 from guidance.haptics.servo import InProcessServo

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from guidance.haptics.devices.mouse import Mouse
+from guidance.haptics.devices.pointer import Mouse
 from guidance.haptics.open_device import DEVICES, OpenDevice, device_session
 from guidance.haptics.safety import SafetyLimits
 from guidance.haptics.servo import InProcessServo

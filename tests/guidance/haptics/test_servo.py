@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from guidance.haptics.devices import DeviceError
-from guidance.haptics.devices.mouse import Mouse
+from guidance.haptics.devices.pointer import Mouse
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.servo import InProcessServo
-from guidance.haptics.servo_loop import PERIOD, SERVO_HZ, TICK
+from guidance.haptics.servo import PERIOD, SERVO_HZ, TICK, InProcessServo
 from guidance.haptics.servo_process import ServoProcess
 from guidance.haptics.shared_record import SharedRecord
 from guidance.simulated_users import SimulatedUsers, personal_streams, sample_people

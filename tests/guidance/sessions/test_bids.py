@@ -25,7 +25,7 @@ from guidance.sessions.game import RESULTS, UNSCORED
 from guidance.sessions.participant import NOT_LABELS
 from guidance.simulated_users.ratings import RATINGS
 from guidance.statistics.design import CONDITIONS
-from guidance.statistics.runs import gather, merge
+from guidance.statistics.groups import gather, merge
 from guidance.study.metrics import metric_values as metrics_of
 from guidance.study.metrics import new_counters
 

@@ -17,11 +17,10 @@ from scipy import stats as scipy_stats
 from airhockey_marl.experiment.files import find_files
 from guidance.statistics.design import CONDITIONS, METRICS
 from guidance.statistics.figures import COLORS, confidence_half_width, figure6, means_beside
-from guidance.statistics.groups import Group, conditions_of_both, side_by_side
+from guidance.statistics.groups import Group, conditions_of_both, gather, merge, side_by_side
 from guidance.statistics.paper import compare_with_paper, count_findings, published_results
 from guidance.statistics.report import screen_table, write_report
 from guidance.statistics.research_questions import answer_questions
-from guidance.statistics.runs import gather, merge
 from guidance.statistics.tests import check_trials, run_tests
 from tests.processes import start
 
