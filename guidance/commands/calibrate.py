@@ -48,8 +48,7 @@ def main(cfg: DictConfig) -> None:
     from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.league.league import League
     from airhockey_marl.players.inference import greedy_player
-    from guidance.simulated_users import Population, SimulatedUsers, load_advisors, training_people
-    from guidance.simulated_users.force_response import check_variant
+    from guidance.simulated_users import SimulatedUsers, load_advisors, load_population, training_people
     from guidance.study.calibration import (
         lookahead_win_rate,
         max_stable_stiffness,
@@ -63,8 +62,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.study.setup import load_models
 
     with report_input_errors():
-        check_variant(cfg.users.variant)
-        people = training_people(cfg.seed, construct(Population, cfg.users.population, "users.population"))
+        people = training_people(cfg.seed, load_population(cfg.users))
         advisors = load_advisors(cfg.users.advisors)
         protocol = replace(construct(Protocol, cfg.study, "study"), familiarization=0)
         models = load_models(cfg)

@@ -21,7 +21,6 @@ from omegaconf import DictConfig
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_device, require_numbers
 from airhockey_marl.experiment.files import atomic_write, write_json
 from airhockey_marl.experiment.progress import ProgressBar
-from airhockey_marl.experiment.registry import construct
 from airhockey_marl.experiment.run_folder import note_headline
 
 
@@ -37,7 +36,7 @@ def main(cfg: DictConfig) -> None:
     import torch
 
     from guidance.forces.condition_specs import PAPER_LETTERS
-    from guidance.simulated_users import Population, sample_people
+    from guidance.simulated_users import load_population, sample_people
     from guidance.simulated_users.ratings import RATINGS
     from guidance.statistics.design import declared_conditions
     from guidance.statistics.groups import UNTESTED
@@ -52,8 +51,7 @@ def main(cfg: DictConfig) -> None:
     with report_input_errors():
         require_device(cfg)
         setup = load_setup(cfg)
-        population: Population = construct(Population, cfg.users.population, "users.population")
-        people = sample_people(cfg.participants, cfg.seed, population)
+        people = sample_people(cfg.participants, cfg.seed, load_population(cfg.users))
         for name in cfg.users.withdrawn:
             if name not in RATINGS:
                 raise ValueError(f"users.withdrawn: {name!r} must be one of {', '.join(RATINGS)}")

@@ -106,24 +106,20 @@ def main(cfg: DictConfig) -> None:
     from guidance.sessions.lsl import open_streams
     from guidance.sessions.session import NullEvents, Session
     from guidance.sessions.simulated_participant import SimulatedParticipant
-    from guidance.simulated_users import Population, sample_people
-    from guidance.simulated_users.force_response import check_variant
+    from guidance.simulated_users import load_population, sample_people
     from guidance.study.setup import load_models
 
     with report_input_errors():
         require_counts(cfg, "width", least=MIN_WIDTH)
-        DEVICES.build(cfg.device, "device")
-        check_variant(cfg.users.variant)
+        device = DEVICES.build(cfg.device, "device")
+        population = load_population(cfg.users)
     if cfg.withdraw:
         withdraw(Path(cfg.records), str(cfg.participant))
         return
     with report_input_errors():
         models = load_models(cfg)
         plan, limits = plan_of(cfg, models), construct(SafetyLimits, cfg.safety, "safety")
-        people = sample_people(
-            cfg.participants, cfg.seed, construct(Population, cfg.users.population, "users.population")
-        )
-        device = DEVICES.build(cfg.device, "device")
+        people = sample_people(cfg.participants, cfg.seed, population)
         facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else NullEvents()
     torch.set_num_threads(cfg.threads)
     clock = WallClock() if cfg.window else SimulatedClock()

@@ -53,8 +53,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.haptics.screen import WallClock, quit_on_signals
     from guidance.haptics.seat import RealTimePlayer
     from guidance.sessions.free_play import FreePlay
-    from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
-    from guidance.simulated_users.force_response import check_variant
+    from guidance.simulated_users import SimulatedUsers, load_advisors, load_population, sample_people
     from guidance.study.protocol import CALIBRATION_GAME, Protocol, RandomStream, spawn_rng_states
     from guidance.study.setup import load_conditions, load_models
 
@@ -77,9 +76,7 @@ def main(cfg: DictConfig) -> None:
         )
         person = None
         if cfg.device.kind == "simulated":
-            check_variant(cfg.users.variant)
-            population: Population = construct(Population, cfg.users.population, "users.population")
-            people, advisors = sample_people(1, cfg.seed, population), load_advisors(cfg.users.advisors)
+            people, advisors = sample_people(1, cfg.seed, load_population(cfg.users)), load_advisors(cfg.users.advisors)
             person = SimulatedUsers(people, minds, TableSpec(), cfg.users.variant, advisors)
     torch.set_num_threads(cfg.threads)
     folder, clock, table = Path(HydraConfig.get().runtime.output_dir), WallClock(), TableSpec()

@@ -45,7 +45,7 @@ def main(cfg: DictConfig) -> None:
             cfg = resumed_config(Path(cfg.resume), STATE, cfg)
         check(cfg)
         require_device(cfg)
-        for variant in (cfg.users.variant, *cfg.sensitivity.variants):
+        for variant in cfg.sensitivity.variants:
             check_variant(variant)
         studies = Studies(cfg)
     torch.set_num_threads(cfg.threads)

@@ -20,10 +20,13 @@ from guidance.forces.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidan
 from guidance.haptics.hand import HapticHand
 from guidance.sessions.game import load_games
 from guidance.sessions.json_files import load_json
+from guidance.simulated_users import SimulatedUsers
 from guidance.simulated_users.arm import HAND_REACH
+from guidance.simulated_users.intention import Intention
 from guidance.study.batched_guidance import BatchedGuidance
-from guidance.study.games import GameStep
+from guidance.study.games import GameRunner, GameStep
 from guidance.study.models import Models
+from guidance.study.setup import StudySetup
 
 STATE = [f"{body}_{part}" for body in ("own", "other", "puck") for part in ("x", "y", "vx", "vy")]
 ACTION = ["action_x", "action_y"]
@@ -222,3 +225,31 @@ def load_recorded_part(
     if ticks.empty:
         raise ValueError(f"start = {start}: {file} has nothing then")
     return ticks, facts
+
+
+@torch.no_grad()
+def record_game(
+    users: SimulatedUsers, setup: StudySetup, adapted: TensorDict | None, serves: np.ndarray, seconds: float
+) -> pd.DataFrame:
+    """Play one person's game under the one condition of a setup, a round after each goal.
+
+    Args:
+        adapted: their own parameters of the user model, batch size (1,), if the condition has UA.
+        serves: (1,) uint64, the table's random numbers.
+
+    Returns:
+        A row per tick, see `COLUMNS`, with the desired position of the hand (wanted_x and
+        _y, in m of the hand) and the intention.
+    """
+    (condition,) = setup.conditions
+    guidance, tap = tapped_guidance(condition, setup.models, adapted, setup.lookahead_seconds)
+    runner, log = GameRunner(users, setup.opponent, setup.table, serves), TickLog(tap, setup.table.tick)
+    runner.new_games()
+    for _ in range(max(1, round(seconds / setup.table.tick))):
+        (wanted_x, wanted_y), intention = users.goal[0], Intention(users.intention[0]).name
+        tick = runner.tick(guidance)
+        scored = tick.goals != 0
+        log(tick, True, scored[0]).update(wanted_x=wanted_x, wanted_y=wanted_y, intention=intention)
+        if scored[0]:
+            runner.new_rounds(scored)
+    return pd.DataFrame(log.rows)

@@ -3,18 +3,26 @@
 from math import ceil
 
 import numpy as np
+from omegaconf import DictConfig
 
 from airhockey_marl.envs.physics import TableSpec, check_table
 from airhockey_marl.experiment.parallel import parallel_for
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.experiment.validation import check_rows
 from guidance.simulated_users.advisors import NO_ADVISORS, Advisors
 from guidance.simulated_users.arm import ARM_STATE
-from guidance.simulated_users.force_response import Variant
+from guidance.simulated_users.force_response import Variant, check_variant
 from guidance.simulated_users.intention import NO_INSTRUCTION, Intention
-from guidance.simulated_users.population import USER_PARAMETERS
+from guidance.simulated_users.population import USER_PARAMETERS, Population
 from guidance.simulated_users.ratings import RATING_SIGNALS, SIGNALS, likert_points, rating_z_scores, signals
 from guidance.simulated_users.state import USER_STATE, Setting, UserArrays
 from guidance.simulated_users.tick import reset_users, step_users
+
+
+def load_population(users: DictConfig) -> Population:
+    """The population of the section `users` of a configuration; raises a ValueError for an invalid one or `variant`."""
+    check_variant(users.variant)
+    return construct(Population, users.population, "users.population")
 
 
 class SimulatedUsers:

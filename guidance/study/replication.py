@@ -16,9 +16,8 @@ from omegaconf import DictConfig, OmegaConf
 from scipy.stats import qmc
 
 from airhockey_marl.experiment import parallel as cluster
-from airhockey_marl.experiment.registry import construct
 from airhockey_marl.experiment.validation import check_numbers
-from guidance.simulated_users import Population, sample_people
+from guidance.simulated_users import Population, load_population, sample_people
 from guidance.simulated_users.population import PARAMETER_TYPES, TRAITS, LogNormal, Proportion, ScaledBeta
 from guidance.study.setup import load_setup
 from guidance.study.study import Cohort, run_studies
@@ -62,7 +61,7 @@ class Studies:
 
     def __init__(self, cfg: DictConfig) -> None:
         self.cfg = cfg
-        self.population: Population = construct(Population, cfg.users.population, "users.population")
+        self.population = load_population(cfg.users)
         self.setup = load_setup(cfg)
         self.factors = assumptions(cfg, self.population)
 

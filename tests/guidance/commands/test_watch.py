@@ -30,7 +30,7 @@ from guidance.forces.conditions import (
     Thresholds,
 )
 from guidance.forces.equations import uncertainty_weight
-from guidance.sessions.tick_log import ACTION, STATE
+from guidance.sessions.tick_log import ACTION, STATE, record_game
 from guidance.simulated_users import NO_ADVISORS, SimulatedUsers, sample_people
 from guidance.simulated_users.arm import HAND_REACH
 from guidance.study.games import play_games
@@ -71,7 +71,7 @@ def play(models: Models, condition: Condition, seconds: float = 1.0, against: Pl
     users = SimulatedUsers(sample_people(1, 3), spawn_rng_states(3, [0], 0, 0), TABLE)
     protocol = Protocol(0, 1, 0, 0, 60)
     setup = StudySetup([condition], models, against, 0.1, protocol, "comply_or_resist", NO_ADVISORS, {}, TABLE)
-    return watch.play(users, setup, None, spawn_rng_states(3, [0], 0, 1), seconds)
+    return record_game(users, setup, None, spawn_rng_states(3, [0], 0, 1), seconds)
 
 
 def still(**values: float) -> pd.DataFrame:
@@ -271,7 +271,7 @@ def test_a_goal_stays(tmp_path):
     ],
 )
 def test_wrong_values_end_in_one_line_before_any_work(monkeypatch, capsys, tmp_path, argument, message):
-    monkeypatch.setattr(watch, "play", None)
+    monkeypatch.setattr("guidance.sessions.tick_log.record_game", None)
     with pytest.raises(SystemExit) as stopped:
         run(monkeypatch, tmp_path, argument)
     shown = capsys.readouterr().err
