@@ -48,8 +48,6 @@ class HapticHand(ABC):
             force: (2,) N.
             is_held: False for no force, whatever the device reports.
         """
-        if len(force) != 2:
-            raise ValueError(f"force of {len(force)} numbers must be of 2, in N")
         self._push(float(force[0]), float(force[1]), bool(is_held))
 
     @abstractmethod

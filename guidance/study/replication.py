@@ -18,7 +18,8 @@ from scipy.stats import qmc
 from airhockey_marl.experiment import parallel as cluster
 from airhockey_marl.experiment.validation import check_numbers
 from guidance.simulated_users import Population, load_population, sample_people
-from guidance.simulated_users.population import PARAMETER_TYPES, TRAITS, LogNormal, Proportion, ScaledBeta
+from guidance.simulated_users.population import PARAMETER_TYPES, TRAITS, LogNormal, ScaledBeta
+from guidance.simulated_users.population.distributions import Proportion
 from guidance.study.setup import load_setup
 from guidance.study.study import Cohort, run_studies
 

@@ -37,8 +37,6 @@ class PointerHand:
     """
 
     def __init__(self, person: np.void | None = None, max_speed: float = MAX_SPEED) -> None:
-        if not max_speed > 0:
-            raise ValueError(f"max_speed = {max_speed} must be a number above 0, in m/s")
         self.max_speed, self._person = max_speed, median_person() if person is None else person
         self._stiffness = float(self._person["stiffness"])
         self._arm = np.zeros(1, ARM_STATE)[0]
@@ -47,7 +45,6 @@ class PointerHand:
 
     @property
     def position(self) -> Pair:
-        """(2,) m, of the hand relative to the center."""
         return self._position
 
     @property
@@ -56,18 +53,13 @@ class PointerHand:
         return self._velocity
 
     def set_force(self, force: Pair) -> None:
-        """Apply this force, (2,) N, to the hand until another is set."""
         self._force = (float(force[0]), float(force[1]))
 
     def relax(self) -> None:
-        """Apply no force."""
         self._force = (0.0, 0.0)
 
     def point(self, x: float, y: float) -> None:
         """Set the pointer, in m; outside the reach, it is clipped to the edge."""
-        for name, value in (("x", x), ("y", y)):
-            if value != value:
-                raise ValueError(f"{name} = {value} must be a number, in m")
         self._pointer = (clip_reach(float(x)), clip_reach(float(y)))
 
     def move(self, seconds: float) -> None:
@@ -97,5 +89,4 @@ class Mouse(PointerHand):
         self.move(seconds)
 
     def close(self) -> None:
-        """Apply no force."""
         self.relax()

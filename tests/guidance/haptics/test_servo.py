@@ -206,11 +206,6 @@ def test_closing_in_process_closes_the_device_once():
         servo.advance(1, SEEN)
 
 
-def test_a_force_of_three_numbers_is_refused():
-    with pytest.raises(ValueError, match=r"^force of 3 numbers must be of 2"):
-        in_process()[1].push((1.0, 2.0, 3.0))
-
-
 def test_the_servo_in_process_is_deterministic():
     def play(device):
         servo, rng, trail = InProcessServo(device, SafetyLimits()), np.random.default_rng(3), []
