@@ -142,9 +142,6 @@ class FreePlay:
         rows = {self.labels[name]: game.results for name, game in self.games.items()}
         return pd.DataFrame.from_dict(rows, orient="index")
 
-    def _is_unguided(self) -> bool:
-        return not self.condition.guidance.models()
-
     def _begin(self, condition: Condition) -> None:
         self.condition, table = condition, self.runner.tables.table
         self.forces, tap = tapped_guidance(condition, self.models, self.adapted, self.lookahead_seconds)
@@ -161,7 +158,7 @@ class FreePlay:
     def _save(self) -> None:
         rows = self.log.take()
         self.recording.append(rows)
-        if rows and self._is_unguided():
+        if rows and not self.condition.guidance.models():
             self.demonstrations.append(demonstration(pd.DataFrame(rows)))
 
     def _end(self) -> None:

@@ -73,6 +73,11 @@ class Group:
         return [] if self.people else list(self.run_manifest.get("config", {}).get("users", {}).get("withdrawn", []))
 
     @property
+    def study_hash(self) -> str | None:
+        """The hash of the study; None if unknown."""
+        return self.run_manifest.get("study_hash")
+
+    @property
     def size(self) -> int:
         """The number of participants."""
         return self.trials["user"].nunique()
@@ -137,18 +142,12 @@ def side_by_side(here: Group, beside: Group) -> dict[str, Any]:
         less = rows[0]["y"] if sign == 1 else rows[0]["x"]
         findings.append(rows[0] | {"less": less, "rows": [row | {"toward_paper": sign * row["dz"]} for row in rows]})
     replicated = [comparison["outcome"].eq("replicated").to_numpy() for comparison in comparisons]
-    tested = ~(
-        comparisons[0]["outcome"].isin(UNTESTED) | comparisons[1]["outcome"].isin(UNTESTED).to_numpy()
-    ).to_numpy()
+    first_untested, second_untested = (c["outcome"].isin(UNTESTED).to_numpy() for c in comparisons)
+    tested = ~(first_untested | second_untested)
     first, second = replicated
     return {
         "groups": [
-            {
-                "name": name,
-                "people": group.people,
-                "size": group.size,
-                "study_hash": group.run_manifest.get("study_hash"),
-            }
+            {"name": name, "people": group.people, "size": group.size, "study_hash": group.study_hash}
             for name, group in zip(names_of(groups), groups, strict=True)
         ],
         "means": means,
@@ -218,9 +217,8 @@ def merge(folders: Iterable[str | Path], mixed: bool = False) -> pd.DataFrame:
     trials = pd.concat(tables, ignore_index=True)
     key = ["user", "condition", "seed", *(["study"] if mixed else [])]
     if (repeated := trials[trials.duplicated(key, keep=False)]).size:
-        games = (
-            repeated.groupby(key, sort=False)["place"].agg(lambda places: " and ".join(sorted(places))).reset_index()
-        )
+        by_game = repeated.groupby(key, sort=False)["place"]
+        games = by_game.agg(lambda places: " and ".join(sorted(places))).reset_index()
         listed = ", ".join(f"{row.user} {row.condition} (seed {row.seed})" for row in games.itertuples())
         raise ValueError(f"the same game more than once, in {'; '.join(games['place'].unique())}: {listed}")
     if kinds == {False}:

@@ -51,8 +51,6 @@ def write_report(
     Returns:
         The tests, see `guidance.statistics.tests.run_tests`.
     """
-    if trials.empty:
-        raise ValueError("no trials to report")
     folder, group = Path(folder), Group(trials, manifest)
     with atomic_write(folder / "tests.csv") as path:
         group.tests.to_csv(path, index=False)
@@ -93,18 +91,14 @@ def _beside(here: Group, beside: Group, folder: Path) -> dict[str, Any]:
 
 def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
     """The page of a group; `svg` is Figure 6."""
-    trials, tests, withdrawn, people, conditions = (
-        group.trials,
-        group.tests,
-        group.withdrawn,
-        group.people,
-        group.conditions,
-    )
+    trials, tests, withdrawn, people = group.trials, group.tests, group.withdrawn, group.people
+    conditions = group.conditions
     comparison = group.comparison.copy()
     comparison["less"] = [_other(row.x, row.y, row.greater) for row in comparison.itertuples()]
     comparison["paper_less"] = [_other(row.x, row.y, row.paper_greater) for row in comparison.itertuples()]
     comparison["dz_toward_paper"] = comparison["dz"] * np.where(comparison["x"] == comparison["paper_greater"], 1, -1)
     findings = comparison[comparison["paper"] == "significant"]
+    by_ranks = findings["rank_p"].lt(ALPHA) & findings["greater"].eq(findings["paper_greater"])
     tested = ~comparison["outcome"].isin(UNTESTED)
     counts = comparison["significant"] & tested
     ours = comparison.assign(tested=tested, greater=comparison["greater"].where(counts, ""))
@@ -144,7 +138,7 @@ def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
         own=[condition for condition in conditions.values() if condition.guidance == BEYOND],
         beyond=_beyond_rows(tests),
         planned_comparisons=tests[tests["test"] == "planned"].to_dict("records"),
-        by_ranks=int((findings["rank_p"].lt(ALPHA) & _same_sign(findings) & ~findings["metric"].isin(withdrawn)).sum()),
+        by_ranks=int((by_ranks & ~findings["metric"].isin(withdrawn)).sum()),
         weights=_weights(trials),
         questions=QUESTIONS,
         answers=answer_questions(ours, people),
@@ -202,10 +196,6 @@ def _beyond_rows(tests: pd.DataFrame) -> list[dict[str, Any]]:
     own = ~tests["x"].isin(PAPER_LETTERS) | ~tests["y"].isin(PAPER_LETTERS)
     rows = tests[(tests["family"] == BEYOND) & (tests["test"] == "posthoc") & own & tests["significant"]]
     return [row | {"less": _other(row["x"], row["y"], row["greater"])} for row in rows.to_dict("records")]
-
-
-def _same_sign(findings: pd.DataFrame) -> pd.Series:
-    return findings["greater"].eq(findings["paper_greater"])
 
 
 def _weights(trials: pd.DataFrame) -> list[dict[str, Any]]:
