@@ -58,7 +58,7 @@ def main(cfg: DictConfig) -> None:
         threshold,
     )
     from guidance.study.games import Games, no_force, play_games
-    from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states
+    from guidance.study.protocol import Protocol, user_and_table_states
     from guidance.study.setup import load_models
 
     with report_input_errors():
@@ -74,11 +74,8 @@ def main(cfg: DictConfig) -> None:
 
     def play(generation: int, trial: int, demonstrations: bool = False) -> Games:
         """Each of the nine plays `games` games: rows are person by person."""
-        keys = [
-            [spawn_rng_states(cfg.seed, [u], trial + g, p) for u in range(len(people)) for g in range(cfg.games)]
-            for p in (RandomStream.USER, RandomStream.TABLE)
-        ]
-        minds, serves = (np.concatenate(part) for part in keys)
+        streams = [user_and_table_states(cfg.seed, range(len(people)), trial + game) for game in range(cfg.games)]
+        minds, serves = (np.stack(part, axis=1).ravel() for part in zip(*streams, strict=True))
         seated = SimulatedUsers(np.repeat(people, cfg.games), minds, TableSpec(), cfg.users.variant, advisors)
         opponent = greedy_player(league.player(generation))
         return play_games(seated, opponent, no_force, protocol, TableSpec(), serves, demonstrations)

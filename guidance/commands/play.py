@@ -54,7 +54,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.haptics.seat import RealTimePlayer
     from guidance.sessions.free_play import FreePlay
     from guidance.simulated_users import SimulatedUsers, load_advisors, load_population, sample_people
-    from guidance.study.protocol import CALIBRATION_GAME, Protocol, RandomStream, spawn_rng_states
+    from guidance.study.protocol import CALIBRATION_GAME, Protocol, user_and_table_states
     from guidance.study.setup import load_conditions, load_models
 
     with report_input_errors():
@@ -70,10 +70,7 @@ def main(cfg: DictConfig) -> None:
         opponents = League.load(cfg.models.opponents)
         opponents.player(cfg.opponent)
         limits: SafetyLimits = construct(SafetyLimits, cfg.safety, "safety")
-        minds, serves = (
-            spawn_rng_states(cfg.seed, [0], CALIBRATION_GAME, stream)
-            for stream in (RandomStream.USER, RandomStream.TABLE)
-        )
+        minds, serves = user_and_table_states(cfg.seed, [0], CALIBRATION_GAME)
         person = None
         if cfg.device.kind == "simulated":
             people, advisors = sample_people(1, cfg.seed, load_population(cfg.users)), load_advisors(cfg.users.advisors)

@@ -95,16 +95,13 @@ def by_skill(
     from guidance.simulated_users import SimulatedUsers, sample_people
     from guidance.simulated_users.validation.measures import SKILLS
     from guidance.study.games import no_force, play_games
-    from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states
+    from guidance.study.protocol import Protocol, user_and_table_states
 
     table, won, stopped = TableSpec(), {}, {}
     game = Protocol(familiarization=0, rounds=14, extra_rounds=0, min_seconds=0, round_seconds=30)
     for trial, skill in enumerate(SKILLS):
         people = sample_people(number, seed + 300, population.with_parameters(skill_mean=skill, skill_sd=0.0))
-        minds, serves = (
-            spawn_rng_states(seed, range(number), SKILL_TRIAL + trial, stream)
-            for stream in (RandomStream.USER, RandomStream.TABLE)
-        )
+        minds, serves = user_and_table_states(seed, range(number), SKILL_TRIAL + trial)
         users = SimulatedUsers(people, minds, table, variant, advisors)
         results = play_games(users, opponent, no_force, game, table, serves).results
         won[f"rounds won, skill {skill:+.1f}"] = results["win_rate"]

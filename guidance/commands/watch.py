@@ -92,7 +92,7 @@ def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dic
     from guidance.sessions.tick_log import record_game, scene_facts
     from guidance.simulated_users import load_population, sample_people
     from guidance.study.games import no_force, play_games
-    from guidance.study.protocol import CALIBRATION_GAME, RandomStream, spawn_rng_states
+    from guidance.study.protocol import CALIBRATION_GAME, user_and_table_states
     from guidance.study.setup import load_setup
 
     with report_input_errors():
@@ -106,17 +106,13 @@ def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dic
     person = sample_people(1, cfg.seed, population, cfg.user)
     (condition,), adapted = setup.conditions, None
 
-    def rng_states(game: int) -> tuple:
-        """The random number streams of the person and of the table, as in a game of a study."""
-        return tuple(spawn_rng_states(cfg.seed, [0], game, s) for s in (RandomStream.USER, RandomStream.TABLE))
-
     if ADAPTED in condition.guidance.models():
         progress("unscored game", 0.0)
-        user, serves = rng_states(CALIBRATION_GAME)
+        user, serves = user_and_table_states(cfg.seed, [0], CALIBRATION_GAME)
         users = setup.simulated_users(person, user)
         game = play_games(users, setup.opponent, no_force, setup.protocol, setup.table, serves, True)
         adapted = setup.models.adapted_to(game.demonstrations)
-    user, serves = rng_states(ascii_lowercase.index(condition.letter))
+    user, serves = user_and_table_states(cfg.seed, [0], ascii_lowercase.index(condition.letter))
     ticks = record_game(setup.simulated_users(person, user), setup, adapted, serves, cfg.seconds)
     player = f"simulated {archetypes[person['archetype'][0]].replace('_', '-')}"
     return ticks, scene_facts(condition, player, f"generation {cfg.opponent}", adapted is not None)

@@ -47,13 +47,7 @@ class Recording:
 
     @classmethod
     def begin(
-        cls,
-        stem: Path,
-        name: str,
-        position: int,
-        columns: Columns,
-        facts: Mapping[str, Any],
-        games: dict[str, Game],
+        cls, stem: Path, name: str, position: int, columns: Columns, facts: Mapping[str, Any], games: dict[str, Game]
     ) -> "Recording":
         """Create the files of a game.
 

@@ -187,7 +187,9 @@ class Session:
             return
         player, table = self.player, TableSpec()
         self.on_game(CALIBRATION_GAME)
-        runner = GameRunner(player, self.plan.opponent, table, self._serves(CALIBRATION_GAME, RandomStream.PRACTICE_TABLE))
+        runner = GameRunner(
+            player, self.plan.opponent, table, self._serves(CALIBRATION_GAME, RandomStream.PRACTICE_TABLE)
+        )
         player.display = DisplayState(title="Practice: return when you have had enough")
         runner.new_games()
         won = lost = 0

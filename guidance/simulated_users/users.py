@@ -53,8 +53,7 @@ class SimulatedUsers:
         streams = np.asarray(streams)
         if streams.dtype != np.uint64 or streams.shape != people.shape:
             raise ValueError(f"streams {streams.dtype} {streams.shape} must be uint64 {people.shape}")
-        if variant not in Variant.__members__:
-            raise ValueError(f"variant = {variant!r} must be one of {', '.join(Variant.__members__)}")
+        check_variant(variant)
         self.n, self.people, self.streams = n, people, streams = len(people), people.copy(), streams.copy()
         self.table = check_table(table or TableSpec())
         self.variant, self.advisors = Variant[variant], advisors or NO_ADVISORS

@@ -115,10 +115,10 @@ def test_the_fault_of_an_invalid_model_is_named(tmp_path, facts, changes, messag
 @pytest.mark.parametrize(
     ("facts", "message"),
     [
-        ({"inner_lr": float("nan")}, "inner_lr = nan must be a number from 0 to 1000"),
-        ({"inner_lr": "0.1"}, "inner_lr = 0.1 must be a number"),
-        ({"ahead_s": -1.0}, "ahead_s = -1.0 must be a number from 0 to 1"),
-        ({"ahead_s": [0]}, r"ahead_s = \[0\] must be a number"),
+        ({"inner_lr": float("nan")}, "inner_lr = nan must be a finite number of at least 0 and at most 1000"),
+        ({"inner_lr": "0.1"}, "inner_lr = '0.1' must be a finite number"),
+        ({"ahead_s": -1.0}, "ahead_s = -1.0 must be a finite number of at least 0 and at most 1"),
+        ({"ahead_s": [0]}, r"ahead_s = \[0\] must be a finite number"),
     ],
 )
 def test_the_metadata_of_a_model_is_checked(tmp_path, facts, message):
