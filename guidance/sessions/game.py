@@ -90,7 +90,7 @@ class Game:
         """
         if self.name == UNSCORED:
             raise ValueError(f"ratings of {self.name}: this game is not rated")
-        ratings = {name: ratings[name] for name in RATINGS}
+        ratings = {name: int(ratings[name]) for name in RATINGS}
         if self.ratings is not None and (self.ratings != ratings or self.interview not in ("", interview)):
             raise ValueError(f"ratings of {self.name}: there are some already, {self.ratings}")
         save_json(self.description, load_json(self.description) | {"Ratings": ratings, "Interview": interview})
