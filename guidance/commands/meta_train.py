@@ -5,8 +5,8 @@
     airhockey meta_train resume=outputs/meta_train/... continue a stopped run
     tensorboard --logdir outputs                       watch
 
-Writes into its run folder: meta.safetensors, user.safetensors, card.json (configuration, and prediction errors on unseen
-people), tensorboard/, and after each epoch state.safetensors, from which `resume` continues.
+Writes into its run folder: meta.safetensors, user.safetensors, card.json (configuration, and prediction errors on
+unseen people), tensorboard/, and after each epoch state.safetensors, from which `resume` continues.
 """
 
 from __future__ import annotations

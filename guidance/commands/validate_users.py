@@ -4,9 +4,9 @@
     airhockey validate_users users.variant=goal_sharing   another response to forces
     airhockey validate_users +preset=smoke                seconds, to see that it runs
 
-Prints each measure beside the human range and its source. Writes human_measures.csv (the same) and four figures into its run
-folder: speeds.png (speed profiles of reaches), push.png (displacement of the hand by a force), places.png (where each
-playstyle keeps its paddle) and shots.png (velocities of the puck after a stroke).
+Prints each measure beside the human range and its source. Writes human_measures.csv (the same) and four figures into
+its run folder: speeds.png (speed profiles of reaches), push.png (displacement of the hand by a force), places.png
+(where each playstyle keeps its paddle) and shots.png (velocities of the puck after a stroke).
 """
 
 from __future__ import annotations

@@ -180,12 +180,6 @@ def test_too_few_participants(tmp_path):
     assert "The run has no manifest." in text
 
 
-def test_no_trials_are_refused(trials, tmp_path):
-    with pytest.raises(ValueError, match="no trials"):
-        write_report(trials.iloc[:0], tmp_path, {})
-    assert not list(tmp_path.iterdir())
-
-
 def test_figure_draws_means_and_intervals(trials):
     figure = figure6(trials)
     assert [axes.get_title() for axes in figure.axes] == [
