@@ -38,9 +38,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.forces.condition_specs import PAPER_LETTERS
     from guidance.simulated_users import load_population, sample_people
     from guidance.simulated_users.ratings import RATINGS
-    from guidance.statistics.design import declared_conditions
     from guidance.statistics.groups import UNTESTED
-    from guidance.statistics.paper import compare_with_paper
     from guidance.statistics.report import screen_table, write_report
     from guidance.statistics.tensorboard import Histograms, log_study
     from guidance.study.protocol import is_balanced, williams_design
@@ -68,13 +66,11 @@ def main(cfg: DictConfig) -> None:
     command_line = " ".join(["python -m guidance.evaluate", *HydraConfig.get().overrides.task])
     facts = manifest(cfg, file_hashes(cfg, setup.models), command_line, time.perf_counter() - began)
     write_json(folder / "manifest.json", facts)
-    tests = write_report(trials, folder, facts)
-    declared = declared_conditions(facts["conditions"])
-    log_study(cfg, folder, trials, tests, histograms, declared)
-    findings = compare_with_paper(tests, list(cfg.users.withdrawn))
-    outcomes = findings.loc[findings["paper"] == "significant", "outcome"]
+    group = write_report(trials, folder, facts)
+    log_study(cfg, folder, group, histograms)
+    outcomes = group.findings["outcome"]
     if tested := (~outcomes.isin(UNTESTED)).sum():
         note_headline(folder, f"{(outcomes == 'replicated').sum()} of {tested} tested findings")
-    print(screen_table(trials, declared=declared))
+    print(screen_table(trials, declared=group.declared))
     print("" if facts["frozen"] else "\nNOT the frozen study: its configuration, models or seed differ; exploratory.")
     print(f"report: {folder / 'report.html'}")

@@ -75,11 +75,7 @@ def main(cfg: DictConfig) -> float:
 
 
 def run(cfg: DictConfig, folder: Path) -> float:
-    """Have people play, train both models on it, and write them down with how they predict others.
-
-    Returns:
-        The score by which they are judged.
-    """
+    """Have people play, train both models on it, and write them and how they predict others; returns the `JUDGE`."""
     import torch
 
     from airhockey_marl.envs.physics import TableSpec
@@ -123,10 +119,8 @@ def run(cfg: DictConfig, folder: Path) -> float:
 def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, data: Demonstrations) -> float:
     """Train the meta-learned model, then the one for people in general, both in place; resume if `cfg` says so.
 
-    The state is written after each epoch, so that a run that was stopped ends like one that was not.
-
-    Returns:
-        The seconds it took, before it was resumed and after.
+    The state is written after each epoch, so that a run that was stopped ends like one that was not. Returns the
+    seconds that it took, before it was resumed and after.
     """
     import numpy as np
     import torch

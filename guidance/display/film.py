@@ -171,12 +171,8 @@ def save_film(
 def _palette() -> Image.Image:
     """A palette of every color and its steps to the backgrounds; one for all frames, or the film would flicker."""
     colors = [*COLORS.values(), *TARGETS.values(), HAND, FORCE, INK, RIM, LINE]
-    mixed = [
-        mix(color, background, opacity)
-        for background in (FELT, PAPER)
-        for color in colors
-        for opacity in np.linspace(1, 0.2, 9)
-    ]
+    opacities = np.linspace(1, 0.2, 9)
+    mixed = [mix(color, paper, opacity) for paper in (FELT, PAPER) for color in colors for opacity in opacities]
     palette = Image.new("P", (1, 1))
     palette.putpalette([value for color in (FELT, PAPER, GRAY, *mixed) for value in color])
     return palette

@@ -116,7 +116,6 @@ class RealTimePlayer:
         """Rest without a force until the person presses space; after a fault, only once it is released.
 
         Raises:
-            Quit: the person quits.
             RuntimeError: a fault, and no screen to report it.
         """
         self.pauses += 1

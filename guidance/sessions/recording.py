@@ -142,13 +142,8 @@ class Recording:
         self._size += len(content)
 
 
-def recover_games(folder: Path) -> list[Path]:
-    """Repair a person's folder after a crash: complete finished games and rename interrupted ones.
-
-    Returns:
-        The tables of the interrupted games found now, under their final names.
-    """
-    interrupted = []
+def recover_games(folder: Path) -> None:
+    """Repair a person's folder after a crash: complete finished games and rename interrupted ones."""
     for stem in sorted({folder / file.name.partition(PARTIAL)[0] for file in folder.glob(f"*{PARTIAL}.*")}):
         described, table = (game_file(stem, PARTIAL, suffix) for suffix in (".json", ".tsv"))
         if game_file(stem, BEHAVIOR, ".json").exists():
@@ -163,8 +158,6 @@ def recover_games(folder: Path) -> list[Path]:
             if described.exists():
                 rename_file(described, kept.with_suffix(".json"))
             rename_file(table, kept)
-            interrupted.append(kept)
-    return interrupted
 
 
 def _complete(stem: Path) -> None:

@@ -92,6 +92,11 @@ class Group:
         """See `guidance.statistics.paper.compare_with_paper`."""
         return compare_with_paper(self.tests, self.withdrawn)
 
+    @property
+    def findings(self) -> pd.DataFrame:
+        """The rows of `comparison` that are the paper's 38 findings."""
+        return self.comparison[self.comparison["paper"] == "significant"]
+
 
 def of_people(manifest: Mapping[str, Any]) -> bool:
     """Whether a run is with people, by the `participants` of its manifest: `people`, or `simulated` (the default).
@@ -135,7 +140,7 @@ def side_by_side(here: Group, beside: Group) -> dict[str, Any]:
         }
         for name, condition in conditions.items()
     ]
-    comparisons = [group.comparison[group.comparison["paper"] == "significant"] for group in groups]
+    comparisons = [group.findings for group in groups]
     findings = []
     for rows in zip(*(comparison.to_dict("records") for comparison in comparisons), strict=True):
         sign = 1 if rows[0]["x"] == rows[0]["paper_greater"] else -1

@@ -35,7 +35,7 @@ SHORT_METRICS = ("win rate", "smash", "defense", "disagree", "helpful", "natural
 
 def write_report(
     trials: pd.DataFrame, folder: Path | str, manifest: Mapping[str, Any], beside: Group | None = None
-) -> pd.DataFrame:
+) -> Group:
     """Test the trials and write tests.csv, figure6.png, figure6.svg and report.html into `folder`.
 
     Every file is replaced atomically. report.html contains its style and figures and loads nothing.
@@ -49,7 +49,7 @@ def write_report(
         beside: another group, tested separately and shown beside these trials, in beside.png, beside.svg and a section.
 
     Returns:
-        The tests, see `guidance.statistics.tests.run_tests`.
+        The trials, with their tests.
     """
     folder, group = Path(folder), Group(trials, manifest)
     with atomic_write(folder / "tests.csv") as path:
@@ -59,7 +59,7 @@ def write_report(
     )
     comparison = {} if beside is None else _beside(group, beside, folder)
     write_text(folder / "report.html", _page(group, svg, {"beside": None} | comparison))
-    return group.tests
+    return group
 
 
 def screen_table(trials: pd.DataFrame, people: bool = False, declared: Mapping[str, Condition] | None = None) -> str:

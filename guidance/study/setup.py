@@ -89,11 +89,7 @@ def load_setup(cfg: DictConfig) -> StudySetup:
 
 
 def condition_specs(cfg: DictConfig, warn: Callable[[str], None] = lambda text: None) -> list[ConditionSpec]:
-    """The condition of the configuration; without one the paper's nine, and those that `beyond` names.
-
-    Raises:
-        ValueError: a condition is not valid or unknown, or two have the same letter.
-    """
+    """The condition of the configuration; without one the paper's nine, and those that `beyond` names."""
     return select_specs(cfg.get("condition"), cfg.get("beyond"), warn)
 
 

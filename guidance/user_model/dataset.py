@@ -90,9 +90,7 @@ def load(folder: Path | str) -> Demonstrations:
     try:
         hashes = dict(json.loads((folder / CARD).read_text(encoding="utf-8"))["sha256"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{folder} is not a finished run of guidance.commands.collect: it has no {CARD} with sha256"
-        ) from error
+        raise ValueError(f"{folder} is not a finished run of `airhockey collect`: no {CARD} with sha256") from error
     for name in sorted(name for name in hashes if name.startswith(f"{TENSORS}/")):
         if not (folder / name).is_file() or sha256(folder / name) != hashes[name]:
             raise ValueError(f"{folder / name} is missing or not the file that {CARD} lists")
