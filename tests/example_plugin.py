@@ -10,7 +10,7 @@ from airhockey_marl.league.opponent_sampling import OPPONENT_SAMPLERS
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS, ScriptedPlayer
 from guidance.forces.condition_specs import register_condition
 from guidance.forces.conditions import OPTIMAL, GuidanceOutput
-from guidance.haptics.devices.mouse import Mouse
+from guidance.haptics.devices.pointer import Mouse
 from guidance.haptics.open_device import DEVICES, OpenDevice
 from guidance.haptics.servo import InProcessServo
 from guidance.study.metrics import EXTRA_METRICS

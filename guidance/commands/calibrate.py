@@ -28,11 +28,7 @@ OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has 
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise for values that cannot be used.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "threads", "every")
     require_counts(cfg, "games", least=2)  # UA from one, uncertainty in the others
     require_counts(cfg, "seed", least=0)
@@ -52,8 +48,7 @@ def main(cfg: DictConfig) -> None:
     from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.league.league import League
     from airhockey_marl.players.inference import greedy_player
-    from guidance.simulated_users import Population, SimulatedUsers, load_advisors, training_people
-    from guidance.simulated_users.force_response import check_variant
+    from guidance.simulated_users import SimulatedUsers, load_advisors, load_population, training_people
     from guidance.study.calibration import (
         lookahead_win_rate,
         max_stable_stiffness,
@@ -63,12 +58,11 @@ def main(cfg: DictConfig) -> None:
         threshold,
     )
     from guidance.study.games import Games, no_force, play_games
-    from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states
-    from guidance.study.provenance import load_models
+    from guidance.study.protocol import Protocol, user_and_table_states
+    from guidance.study.setup import load_models
 
     with report_input_errors():
-        check_variant(cfg.users.variant)
-        people = training_people(cfg.seed, construct(Population, cfg.users.population, "users.population"))
+        people = training_people(cfg.seed, load_population(cfg.users))
         advisors = load_advisors(cfg.users.advisors)
         protocol = replace(construct(Protocol, cfg.study, "study"), familiarization=0)
         models = load_models(cfg)
@@ -80,11 +74,8 @@ def main(cfg: DictConfig) -> None:
 
     def play(generation: int, trial: int, demonstrations: bool = False) -> Games:
         """Each of the nine plays `games` games: rows are person by person."""
-        keys = [
-            [spawn_rng_states(cfg.seed, [u], trial + g, p) for u in range(len(people)) for g in range(cfg.games)]
-            for p in (RandomStream.USER, RandomStream.TABLE)
-        ]
-        minds, serves = (np.concatenate(part) for part in keys)
+        streams = [user_and_table_states(cfg.seed, range(len(people)), trial + game) for game in range(cfg.games)]
+        minds, serves = (np.stack(part, axis=1).ravel() for part in zip(*streams, strict=True))
         seated = SimulatedUsers(np.repeat(people, cfg.games), minds, TableSpec(), cfg.users.variant, advisors)
         opponent = greedy_player(league.player(generation))
         return play_games(seated, opponent, no_force, protocol, TableSpec(), serves, demonstrations)

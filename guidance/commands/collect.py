@@ -14,12 +14,9 @@ Writes into its run folder:
 `guidance.user_model.dataset.load` reads the folder back. The same seed gives the same bytes in every file but the card.
 """
 
-from __future__ import annotations
-
 import time
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
@@ -28,18 +25,10 @@ from airhockey_marl.experiment.command import report_input_errors, require_count
 from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import atomic_write, sha256, write_json
 from airhockey_marl.experiment.progress import ProgressBar
-from airhockey_marl.experiment.registry import construct
-
-if TYPE_CHECKING:
-    from guidance.user_model.data import Demonstrations
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse what cannot run.
-
-    Raises:
-        InputError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "threads", "participants", "demonstrations.games", "demonstrations.ticks")
     require_counts(cfg, "seed", "opponent", least=0)
     if cfg.people not in ("training", "study"):
@@ -53,51 +42,41 @@ def main(cfg: DictConfig) -> None:
     from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.league.league import League
     from airhockey_marl.players.inference import greedy_player
-    from guidance.simulated_users import Population, load_advisors, sample_people, training_people
-    from guidance.simulated_users.force_response import check_variant
-    from guidance.study import demonstrations
-    from guidance.user_model.dataset import (
-        CARD,
-        PEOPLE,
-        ROWS,
-        TENSORS,
-        people_table,
-        summary,
-        write_rows,
-        write_tensors,
-    )
+    from guidance.simulated_users import load_advisors, load_population, sample_people, training_people
+    from guidance.study.demonstrations import collect_demonstrations
+    from guidance.user_model import dataset
 
     folder, began = Path(HydraConfig.get().runtime.output_dir), time.perf_counter()
     with report_input_errors():
-        check_variant(cfg.users.variant)
         league = League.load(cfg.models.opponents)
         if cfg.opponent >= len(league):
             raise InputError(f"opponent = {cfg.opponent} must be a generation of the league, 0 to {len(league) - 1}")
-        if (folder / TENSORS).exists():
-            raise InputError(f"hydra.run.dir = {folder} must be a folder without {TENSORS}/: data are not replaced")
-        population: Population = construct(Population, cfg.users.population, "users.population")
+        if (folder / dataset.TENSORS).exists():
+            raise InputError(
+                f"hydra.run.dir = {folder} must be a folder without {dataset.TENSORS}/: data are not replaced"
+            )
+        population = load_population(cfg.users)
         draw = training_people if cfg.people == "training" else partial(sample_people, cfg.participants)
         people, advisors = draw(cfg.seed, population), load_advisors(cfg.users.advisors)
     torch.set_num_threads(cfg.threads)
     progress, table, sizes = ProgressBar(), TableSpec(), (cfg.demonstrations.games, cfg.demonstrations.ticks)
-    told, opponent = partial(progress, f"{len(people)} people play"), greedy_player(league.player(cfg.opponent))
-    data = demonstrations.collect_demonstrations(
-        people, opponent, *sizes, table, cfg.users.variant, advisors, cfg.seed, told
-    )
+    advance, opponent = partial(progress, f"{len(people)} people play"), greedy_player(league.player(cfg.opponent))
+    data = collect_demonstrations(people, opponent, *sizes, table, cfg.users.variant, advisors, cfg.seed, advance)
     progress.close()
-    who = people_table(people, list(population.style.archetypes))
-    write_tensors(folder / TENSORS, data)
-    write_rows(folder / ROWS, data, who["archetype"], table)
-    with atomic_write(folder / PEOPLE) as temporary:
-        who.to_csv(temporary, index=False)
-    users = who[["user", "archetype"]].join(summary(data, table).round(4)).to_dict("records")
-    write_json(folder / CARD, card(cfg, folder, data, users, time.perf_counter() - began))
+    rows = dataset.people_table(people, list(population.style.archetypes))
+    dataset.write_tensors(folder / dataset.TENSORS, data)
+    dataset.write_rows(folder / dataset.ROWS, data, rows["archetype"], table)
+    with atomic_write(folder / dataset.PEOPLE) as temporary:
+        rows.to_csv(temporary, index=False)
+    users = rows[["user", "archetype"]].join(dataset.summary(data, table).round(4)).to_dict("records")
+    sizes = dict(zip(("users", "games", "ticks"), data.action.shape[:3], strict=True))
+    seconds = time.perf_counter() - began
+    write_json(folder / dataset.CARD, card(cfg, folder, sizes | {"tick_s": table.tick}, users, seconds))
     print(f"{data.action.shape[:3].numel()} ticks of {len(people)} simulated people: {folder}")
 
 
-def card(cfg: DictConfig, folder: Path, data: Demonstrations, users: list[dict], seconds: float) -> dict:
+def card(cfg: DictConfig, folder: Path, sizes: dict, users: list[dict], seconds: float) -> dict:
     """The data card: what the files hold, where they come from, how to open them."""
-    from airhockey_marl.envs.physics import TableSpec
     from guidance.user_model.dataset import ABOUT, COLUMNS, FRAME, PEOPLE, ROWS, TENSORS
 
     files = [*sorted((folder / TENSORS).iterdir()), folder / ROWS, folder / PEOPLE]
@@ -109,8 +88,7 @@ def card(cfg: DictConfig, folder: Path, data: Demonstrations, users: list[dict],
         "seconds": round(seconds, 1),
         "opponent_generation": cfg.opponent,
         "opponents_sha256": sha256(cfg.models.opponents),
-        **dict(zip(("users", "games", "ticks"), data.action.shape[:3], strict=True)),
-        "tick_s": TableSpec().tick,
+        **sizes,
         "open": [
             f"import pandas; rows = pandas.read_parquet('{ROWS}')",
             f"from tensordict import TensorDict; tensors = TensorDict.load_memmap('{TENSORS}')",

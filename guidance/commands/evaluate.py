@@ -21,16 +21,11 @@ from omegaconf import DictConfig
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_device, require_numbers
 from airhockey_marl.experiment.files import atomic_write, write_json
 from airhockey_marl.experiment.progress import ProgressBar
-from airhockey_marl.experiment.registry import construct
 from airhockey_marl.experiment.run_folder import note_headline
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise for values that cannot be used.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "participants", "threads")
     require_counts(cfg, "seed", least=0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
@@ -41,24 +36,20 @@ def main(cfg: DictConfig) -> None:
     import torch
 
     from guidance.forces.condition_specs import PAPER_LETTERS
-    from guidance.simulated_users import Population, sample_people
+    from guidance.simulated_users import load_population, sample_people
     from guidance.simulated_users.ratings import RATINGS
-    from guidance.statistics.design import declared_conditions
     from guidance.statistics.groups import UNTESTED
-    from guidance.statistics.paper import compare_with_paper
     from guidance.statistics.report import screen_table, write_report
     from guidance.statistics.tensorboard import Histograms, log_study
     from guidance.study.protocol import is_balanced, williams_design
-    from guidance.study.provenance import file_hashes, manifest
-    from guidance.study.setup import load_setup
+    from guidance.study.setup import file_hashes, load_setup, manifest
     from guidance.study.study import run_study
 
     began = time.perf_counter()
     with report_input_errors():
         require_device(cfg)
         setup = load_setup(cfg)
-        population: Population = construct(Population, cfg.users.population, "users.population")
-        people = sample_people(cfg.participants, cfg.seed, population)
+        people = sample_people(cfg.participants, cfg.seed, load_population(cfg.users))
         for name in cfg.users.withdrawn:
             if name not in RATINGS:
                 raise ValueError(f"users.withdrawn: {name!r} must be one of {', '.join(RATINGS)}")
@@ -75,13 +66,11 @@ def main(cfg: DictConfig) -> None:
     command_line = " ".join(["python -m guidance.evaluate", *HydraConfig.get().overrides.task])
     facts = manifest(cfg, file_hashes(cfg, setup.models), command_line, time.perf_counter() - began)
     write_json(folder / "manifest.json", facts)
-    tests = write_report(trials, folder, facts)
-    declared = declared_conditions(facts["conditions"])
-    log_study(cfg, folder, trials, tests, histograms, declared)
-    findings = compare_with_paper(tests, list(cfg.users.withdrawn))
-    outcomes = findings.loc[findings["paper"] == "significant", "outcome"]
+    group = write_report(trials, folder, facts)
+    log_study(cfg, folder, group, histograms)
+    outcomes = group.findings["outcome"]
     if tested := (~outcomes.isin(UNTESTED)).sum():
         note_headline(folder, f"{(outcomes == 'replicated').sum()} of {tested} tested findings")
-    print(screen_table(trials, declared=declared))
+    print(screen_table(trials, declared=group.declared))
     print("" if facts["frozen"] else "\nNOT the frozen study: its configuration, models or seed differ; exploratory.")
     print(f"report: {folder / 'report.html'}")

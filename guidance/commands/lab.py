@@ -44,11 +44,7 @@ OF_A_SESSION = ("participant", "withdraw", "records", "window", "fullscreen", "w
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse what no session can be held with.
-
-    Raises:
-        InputError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "participants", "threads", "frames_per_second")
     require_counts(cfg, "seed", least=0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
@@ -59,7 +55,7 @@ def check(cfg: DictConfig) -> None:
 
 def facts_of(cfg: DictConfig, models: Models, plan: SessionPlan) -> dict:
     """The manifest of the study; two with other devices, limits, questions or kinds of people are not the same one."""
-    from guidance.study.provenance import file_hashes, manifest
+    from guidance.study.setup import file_hashes, manifest
 
     facts = manifest(cfg, file_hashes(cfg, models), "", 0.0)
     who = "simulated" if cfg.device.kind == "simulated" else "people"
@@ -72,14 +68,10 @@ def facts_of(cfg: DictConfig, models: Models, plan: SessionPlan) -> dict:
 
 
 def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
-    """What the configuration has everybody do.
-
-    Raises:
-        ValueError: something in it is not valid, or a file is missing.
-    """
+    """What the configuration has everybody do."""
     from guidance.sessions.session import SessionPlan
     from guidance.study.protocol import Protocol
-    from guidance.study.provenance import load_conditions, load_opponent
+    from guidance.study.setup import load_conditions, load_opponent
 
     consent = Path(cfg.consent)
     if not consent.is_file():
@@ -107,33 +99,28 @@ def main(cfg: DictConfig) -> None:
 
     from airhockey_marl.envs.physics import TableSpec
     from guidance.display.window import MIN_WIDTH, Window
-    from guidance.haptics.clock import SimulatedClock, WallClock
     from guidance.haptics.open_device import DEVICES, device_session
     from guidance.haptics.safety import SafetyLimits
-    from guidance.haptics.screen import NullDisplay, Quit, quit_on_signals
+    from guidance.haptics.screen import NullDisplay, Quit, SimulatedClock, WallClock, quit_on_signals
     from guidance.haptics.seat import RealTimePlayer
     from guidance.sessions.bids import Records
     from guidance.sessions.lsl import open_streams
     from guidance.sessions.session import NullEvents, Session
     from guidance.sessions.simulated_participant import SimulatedParticipant
-    from guidance.simulated_users import Population, sample_people
-    from guidance.simulated_users.force_response import check_variant
-    from guidance.study.provenance import load_models
+    from guidance.simulated_users import load_population, sample_people
+    from guidance.study.setup import load_models
 
     with report_input_errors():
         require_counts(cfg, "width", least=MIN_WIDTH)
-        DEVICES.build(cfg.device, "device")
-        check_variant(cfg.users.variant)
+        device = DEVICES.build(cfg.device, "device")
+        population = load_population(cfg.users)
     if cfg.withdraw:
         withdraw(Path(cfg.records), str(cfg.participant))
         return
     with report_input_errors():
         models = load_models(cfg)
         plan, limits = plan_of(cfg, models), construct(SafetyLimits, cfg.safety, "safety")
-        people = sample_people(
-            cfg.participants, cfg.seed, construct(Population, cfg.users.population, "users.population")
-        )
-        device = DEVICES.build(cfg.device, "device")
+        people = sample_people(cfg.participants, cfg.seed, population)
         facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else NullEvents()
     torch.set_num_threads(cfg.threads)
     clock = WallClock() if cfg.window else SimulatedClock()
@@ -171,11 +158,7 @@ def main(cfg: DictConfig) -> None:
 
 
 def withdraw(folder: Path, label: str) -> None:
-    """Delete everything of a person, whatever the study's configuration is.
-
-    Raises:
-        InputError: there are no records, or nobody of this label.
-    """
+    """Delete everything of a person, whatever the study's configuration is."""
     from guidance.sessions.bids import Records
 
     with report_input_errors():
@@ -187,11 +170,7 @@ def withdraw(folder: Path, label: str) -> None:
 
 
 def enrolled(records: Records, cfg: DictConfig) -> Participant:
-    """The participant that the configuration names, or a new one.
-
-    Raises:
-        InputError: a label that is not one, or all places are taken.
-    """
+    """The participant that the configuration names, or a new one."""
     with report_input_errors():
         label = None if cfg.participant == NEW else str(cfg.participant)
         if label not in records.places and len(records.places) >= cfg.participants:

@@ -25,13 +25,11 @@ from airhockey_marl.experiment.command import report_input_errors, require_count
 from airhockey_marl.experiment.config import InputError, resumed_config
 from airhockey_marl.experiment.files import sha256, write_json
 from airhockey_marl.experiment.progress import ProgressBar
-from airhockey_marl.experiment.registry import construct
 from airhockey_marl.experiment.run_folder import lock_run_folder, note_headline
 
 if TYPE_CHECKING:
     from torch import nn
 
-    from guidance.simulated_users import Advisors, Population
     from guidance.user_model.data import Demonstrations
 
 TAGS = {
@@ -53,11 +51,7 @@ HELD_OUT_SEED = 1_000_003  # the card's people: neither the training users nor t
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse what cannot run.
-
-    Raises:
-        InputError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "threads", "maml.epochs", "maml.block", "supervised.epochs", "supervised.batch_size")
     require_counts(cfg, "seed", least=0)
     require_counts(cfg, "demonstrations.games", least=2)  # one to adapt to and one to validate on
@@ -70,72 +64,48 @@ def check(cfg: DictConfig) -> None:
 
 def main(cfg: DictConfig) -> float:
     """Train both; for a sweeper, the loss of Eq. 3 after UA on people that the model has not seen."""
-    import torch
-
-    from airhockey_marl.players.networks import GaussianPolicy
-    from guidance.simulated_users import Population, load_advisors
-    from guidance.simulated_users.force_response import check_variant
-    from guidance.study.provenance import load_opponent
-
     with report_input_errors():
         if cfg.resume is not None:
             cfg = resumed_config(Path(cfg.resume), STATE, cfg)
         check(cfg)
         require_device(cfg)
-        check_variant(cfg.users.variant)
-        population: Population = construct(Population, cfg.users.population, "users.population")
-        advisors = load_advisors(cfg.users.advisors)
-        opponent = load_opponent(cfg)
-        torch.manual_seed(cfg.seed)
-        meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
-    torch.set_num_threads(cfg.threads)
     folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-
     with lock_run_folder(folder, "run"):
-        return run(cfg, folder, population, advisors, opponent, meta, user)
+        return run(cfg, folder)
 
 
-def run(
-    cfg: DictConfig,
-    folder: Path,
-    population: Population,
-    advisors: Advisors,
-    opponent: nn.Module,
-    meta: nn.Module,
-    user: nn.Module,
-) -> float:
-    """Have people play, train both models on it, and write them down with how they predict others.
-
-    Returns:
-        The score by which they are judged.
-    """
-    import numpy as np
+def run(cfg: DictConfig, folder: Path) -> float:
+    """Have people play, train both models on it, and write them and how they predict others; returns the `JUDGE`."""
     import torch
 
     from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.experiment.tensorboard import log_final_scores
-    from guidance.simulated_users import sample_people, training_people
+    from airhockey_marl.players.networks import GaussianPolicy
+    from guidance.simulated_users import load_advisors, load_population, sample_people, training_people
     from guidance.study.demonstrations import collect_demonstrations
     from guidance.study.models import save_user_model
-    from guidance.user_model.data import Demonstrations
-    from guidance.user_model.rounds import action_ahead
+    from guidance.study.setup import load_opponent
+    from guidance.user_model.data import Demonstrations, action_ahead
+    from guidance.user_model.evaluation import unseen_scores
 
+    with report_input_errors():
+        population = load_population(cfg.users)
+        how = {"table": TableSpec(), "variant": cfg.users.variant, "advisors": load_advisors(cfg.users.advisors)}
+        play = partial(collect_demonstrations, opponent=load_opponent(cfg), **cfg.demonstrations, **how)
+        torch.manual_seed(cfg.seed)
+        meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
+    torch.set_num_threads(cfg.threads)
     progress = ProgressBar()
-
-    def play(people: np.ndarray, seed: int, what: str) -> Demonstrations:
-        told = partial(progress, what)
-        how = {"table": TableSpec(), "variant": cfg.users.variant, "advisors": advisors, "seed": seed}
-        return collect_demonstrations(people, opponent, **cfg.demonstrations, **how, progress=told)
-
-    data = play(training_people(cfg.seed, population), cfg.seed, "nine people play")
+    people = training_people(cfg.seed, population)
+    data = play(people, seed=cfg.seed, progress=partial(progress, "nine people play"))
     data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, TableSpec()))
     progress.close()
     seconds = train_both(cfg, folder, meta.to(cfg.compute), user.to(cfg.compute), data.to(cfg.compute))
     meta.cpu(), user.cpu()
-    strangers = sample_people(len(data.action), HELD_OUT_SEED, population)
-    unseen = play(strangers, HELD_OUT_SEED, "nine others play")
+    others = sample_people(len(data.action), HELD_OUT_SEED, population)
+    unseen = play(others, seed=HELD_OUT_SEED, progress=partial(progress, "nine others play"))
     with torch.no_grad():
-        scores = prediction_scores(meta, user, unseen, cfg.maml.inner_lr, cfg.ahead)
+        scores = unseen_scores(user, meta, cfg.maml.inner_lr, unseen, cfg.ahead, TableSpec())
     progress.close()
     facts = {"seed": cfg.seed, "ahead_s": cfg.ahead}
     save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
@@ -149,10 +119,8 @@ def run(
 def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, data: Demonstrations) -> float:
     """Train the meta-learned model, then the one for people in general, both in place; resume if `cfg` says so.
 
-    The state is written after each epoch, so that a run that was stopped ends like one that was not.
-
-    Returns:
-        The seconds it took, before it was resumed and after.
+    The state is written after each epoch, so that a run that was stopped ends like one that was not. Returns the
+    seconds that it took, before it was resumed and after.
     """
     import numpy as np
     import torch
@@ -191,34 +159,6 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
                 checkpoint.save(folder / STATE, {"done": done, "seconds": seconds})
         board.close()
     return seconds
-
-
-def prediction_scores(
-    meta: nn.Module, user: nn.Module, data: Demonstrations, inner_lr: float, ahead: float = 0.0
-) -> dict[str, float]:
-    """How people are predicted whom the models were not trained on: their last games, after UA with their first.
-
-    Returns:
-        Per predictor, as in `prediction.predictors`, the loss of Eq. 3 and the root mean square error in units of
-        action, averaged over people. `airhockey prediction_report` says more.
-    """
-    import numpy as np
-
-    from airhockey_marl.envs.physics import TableSpec
-    from guidance.user_model.evaluation import prediction_metrics, predictors
-
-    found: dict[str, list[dict[str, float]]] = {}
-    for observation, action in zip(data.observation, data.action, strict=True):
-        everybody = predictors(user, meta, inner_lr, observation[0], action[0], TableSpec(), ahead)
-        for name, predictor in everybody.items():
-            found.setdefault(name, []).append(
-                prediction_metrics(predictor, observation[-1], action[-1], ahead, TableSpec())
-            )
-    return {
-        f"{name}_{measure}": float(np.mean([person[measure] for person in people]))
-        for name, people in found.items()
-        for measure in ("loss", "rmse")
-    }
 
 
 def card(cfg: DictConfig, scores: dict[str, float], seconds: float) -> dict:

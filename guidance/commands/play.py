@@ -31,11 +31,7 @@ KEYS = {  # those that choose a condition come before them
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise for values that cannot be used.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "frames_per_second", "threads")
     require_counts(cfg, "seed", least=0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
@@ -52,16 +48,14 @@ def main(cfg: DictConfig) -> None:
     from airhockey_marl.league.league import League
     from guidance.display.window import MIN_WIDTH, Window
     from guidance.forces.conditions import ADAPTED, Condition
-    from guidance.haptics.clock import WallClock
     from guidance.haptics.open_device import DEVICES, device_session
     from guidance.haptics.safety import SafetyLimits
-    from guidance.haptics.screen import quit_on_signals
+    from guidance.haptics.screen import WallClock, quit_on_signals
     from guidance.haptics.seat import RealTimePlayer
     from guidance.sessions.free_play import FreePlay
-    from guidance.simulated_users import Population, SimulatedUsers, load_advisors, sample_people
-    from guidance.simulated_users.force_response import check_variant
-    from guidance.study.protocol import CALIBRATION_GAME, Protocol, RandomStream, spawn_rng_states
-    from guidance.study.provenance import load_conditions, load_models
+    from guidance.simulated_users import SimulatedUsers, load_advisors, load_population, sample_people
+    from guidance.study.protocol import CALIBRATION_GAME, Protocol, user_and_table_states
+    from guidance.study.setup import load_conditions, load_models
 
     with report_input_errors():
         require_counts(cfg, "width", least=MIN_WIDTH)
@@ -76,15 +70,10 @@ def main(cfg: DictConfig) -> None:
         opponents = League.load(cfg.models.opponents)
         opponents.player(cfg.opponent)
         limits: SafetyLimits = construct(SafetyLimits, cfg.safety, "safety")
-        minds, serves = (
-            spawn_rng_states(cfg.seed, [0], CALIBRATION_GAME, stream)
-            for stream in (RandomStream.USER, RandomStream.TABLE)
-        )
+        minds, serves = user_and_table_states(cfg.seed, [0], CALIBRATION_GAME)
         person = None
         if cfg.device.kind == "simulated":
-            check_variant(cfg.users.variant)
-            population: Population = construct(Population, cfg.users.population, "users.population")
-            people, advisors = sample_people(1, cfg.seed, population), load_advisors(cfg.users.advisors)
+            people, advisors = sample_people(1, cfg.seed, load_population(cfg.users)), load_advisors(cfg.users.advisors)
             person = SimulatedUsers(people, minds, TableSpec(), cfg.users.variant, advisors)
     torch.set_num_threads(cfg.threads)
     folder, clock, table = Path(HydraConfig.get().runtime.output_dir), WallClock(), TableSpec()

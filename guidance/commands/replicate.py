@@ -37,15 +37,15 @@ def main(cfg: DictConfig) -> None:
 
     from guidance.simulated_users.force_response import check_variant
     from guidance.statistics.replication_report import summarize
-    from guidance.study.provenance import file_hashes, frozen_study, manifest
     from guidance.study.replication import STATE, Studies, batches_of, on_ray, one_by_one
+    from guidance.study.setup import file_hashes, frozen_study, manifest
 
     with report_input_errors():
         if cfg.resume is not None:
             cfg = resumed_config(Path(cfg.resume), STATE, cfg)
         check(cfg)
         require_device(cfg)
-        for variant in (cfg.users.variant, *cfg.sensitivity.variants):
+        for variant in cfg.sensitivity.variants:
             check_variant(variant)
         studies = Studies(cfg)
     torch.set_num_threads(cfg.threads)
@@ -75,11 +75,7 @@ def main(cfg: DictConfig) -> None:
 
 
 def check(cfg: DictConfig) -> None:
-    """Refuse what cannot run.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Raise a ValueError for values that cannot be used."""
     require_counts(cfg, "together", "threads")
     require_counts(cfg, "participants", least=3)  # fewer cannot be tested
     require_counts(cfg, "n", "seed", "controls", "sensitivity.points", least=0)

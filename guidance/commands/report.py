@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 
 def main(cfg: DictConfig) -> None:
     """Gather the runs, write their report, and say on the screen where it is."""
+    from guidance.statistics.groups import gather
     from guidance.statistics.paper import count_findings
     from guidance.statistics.report import screen_table, write_report
-    from guidance.statistics.runs import gather
 
     folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
     with report_input_errors():

@@ -32,13 +32,7 @@ def clear_caches() -> None:
 
 
 def write(
-    surface: pygame.Surface,
-    text: str,
-    at: Pixel,
-    size: int,
-    color: Color,
-    bold: bool = False,
-    anchor: str = "midleft",
+    surface: pygame.Surface, text: str, at: Pixel, size: int, color: Color, bold: bool = False, anchor: str = "midleft"
 ) -> pygame.Rect:
     """Draw a line of text; the point `anchor` of its box is placed at `at`."""
     picture = render(text, size, color, bold)

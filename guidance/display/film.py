@@ -1,6 +1,6 @@
 """Films of a recorded game: single frames, an animated film, and a sheet of six frames.
 
-They are drawn from a table of ticks, see `guidance.study.tick_log`. For a simulated person, the table also has the
+They are drawn from a table of ticks, see `guidance.sessions.tick_log`. For a simulated person, the table also has the
 desired position of the hand (wanted_x, wanted_y, in m of the hand) and the intention.
 """
 
@@ -171,12 +171,8 @@ def save_film(
 def _palette() -> Image.Image:
     """A palette of every color and its steps to the backgrounds; one for all frames, or the film would flicker."""
     colors = [*COLORS.values(), *TARGETS.values(), HAND, FORCE, INK, RIM, LINE]
-    mixed = [
-        mix(color, background, opacity)
-        for background in (FELT, PAPER)
-        for color in colors
-        for opacity in np.linspace(1, 0.2, 9)
-    ]
+    opacities = np.linspace(1, 0.2, 9)
+    mixed = [mix(color, paper, opacity) for paper in (FELT, PAPER) for color in colors for opacity in opacities]
     palette = Image.new("P", (1, 1))
     palette.putpalette([value for color in (FELT, PAPER, GRAY, *mixed) for value in color])
     return palette

@@ -22,9 +22,7 @@ class SceneDrawer:
 
     def __init__(self, image: Image.Image, scale: float) -> None:
         self.pen, self.scale = ImageDraw.Draw(image, "RGBA"), scale
-        self.unit = (
-            scale / 400
-        )  # of line widths and symbols: one pixel of an image that is scaled down to a width of 800
+        self.unit = scale / 400  # of widths and symbols: one pixel of an image that is scaled down to a width of 800
 
     def line(self, points: list[Pixel], color: Color, width: float) -> None:
         self.pen.line(points, fill=color, width=round(width * self.unit), joint="curve")

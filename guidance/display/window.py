@@ -13,8 +13,7 @@ from guidance.display.arena import Arena
 from guidance.display.drawing import clear_caches, render, veil, write
 from guidance.display.pages import Items, Page
 from guidance.display.scene import FORCE, GRAY, INK, PAPER
-from guidance.haptics.clock import Clock
-from guidance.haptics.screen import DisplayState, Quit
+from guidance.haptics.screen import Clock, DisplayState, Quit
 
 HINT = "h help   space pause   esc leave"
 BAR, FOOT, EDGE = 54, 54, 16  # px
@@ -94,11 +93,7 @@ class Window:
         self.on_pointer(self.arena.action_at((x, y - BAR)))
 
     def frame(self, display: DisplayState) -> list[str]:
-        """Draw a frame; returns the keys pressed since the last one, without those that the window handles.
-
-        Raises:
-            Quit: the window was closed, or escape pressed.
-        """
+        """Draw a frame; returns the keys pressed since the last one, without those that the window handles."""
         start = self.clock.now()
         keys = [key for key in self._take() if not self._handle(key)]
         self.surface.fill(PAPER)
@@ -113,11 +108,7 @@ class Window:
         return keys
 
     def page(self, page: Page) -> str:
-        """Show a page, in parts if it is long, until one of its keys is pressed; returns that key.
-
-        Raises:
-            Quit: the window was closed, or escape pressed.
-        """
+        """Show a page, in parts if it is long, until one of its keys is pressed; returns that key."""
         for part in page.parts(self.size):
             key = self._part(part)
         return key

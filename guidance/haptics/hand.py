@@ -47,12 +47,7 @@ class HapticHand(ABC):
         Args:
             force: (2,) N.
             is_held: False for no force, whatever the device reports.
-
-        Raises:
-            ValueError: not two numbers.
         """
-        if len(force) != 2:
-            raise ValueError(f"force of {len(force)} numbers must be of 2, in N")
         self._push(float(force[0]), float(force[1]), bool(is_held))
 
     @abstractmethod
@@ -62,9 +57,6 @@ class HapticHand(ABC):
         Args:
             milliseconds: number of servo steps.
             state: (12,) the game as the person observes it.
-
-        Raises:
-            ValueError: the servo is closed, or the device rejects the state.
         """
 
     @abstractmethod

@@ -12,10 +12,10 @@ import numpy as np
 
 from airhockey_marl.experiment.command import InputError
 from airhockey_marl.experiment.registry import Registry
+from airhockey_marl.experiment.validation import check_counts, check_numbers, labeled
 from guidance.haptics.devices import DeviceError
 from guidance.haptics.devices.gamepad import Gamepad, open_gamepad
-from guidance.haptics.devices.mouse import Mouse
-from guidance.haptics.devices.pointer import MAX_SPEED
+from guidance.haptics.devices.pointer import MAX_SPEED, Mouse
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.hand import HapticHand
 from guidance.haptics.safety import SafetyLimits
@@ -43,20 +43,8 @@ class DeviceConfig(Protocol):
     """The settings of a device: the fields of a dataclass, which checks them."""
 
     def open(self, limits: SafetyLimits, person: SimulatedUsers | None) -> OpenDevice:
-        """Open the device behind the safety layer; `person` holds it if it is the simulated device.
-
-        Raises:
-            DeviceError: it is not there or cannot be opened.
-        """
+        """Open the device behind the safety layer; `person` holds it if it is the simulated device."""
         ...
-
-
-def _check_number(name: str, value: object, least: float, most: float | None = None) -> None:
-    is_number = isinstance(value, int | float) and not isinstance(value, bool)
-    if most is None and not (is_number and value > least):
-        raise ValueError(f"device.{name} = {value} must be a number above {least}")
-    if most is not None and not (is_number and least <= value <= most):
-        raise ValueError(f"device.{name} = {value} must be a number of at least {least} and at most {most}")
 
 
 DEVICES: Registry[type[DeviceConfig]] = Registry(
@@ -76,7 +64,7 @@ class MouseConfig:
     max_speed: float = MAX_SPEED
 
     def __post_init__(self) -> None:
-        _check_number("max_speed", self.max_speed, 0.0)
+        check_numbers(above=0.0, **labeled(self, "device", "max_speed"))
 
     def open(self, limits: SafetyLimits, person: SimulatedUsers | None) -> OpenDevice:
         mouse = Mouse(max_speed=self.max_speed)
@@ -100,10 +88,9 @@ class GamepadConfig:
     max_speed: float = MAX_SPEED
 
     def __post_init__(self) -> None:
-        if not isinstance(self.index, int) or isinstance(self.index, bool) or self.index < 0:
-            raise ValueError(f"device.index = {self.index} must be a whole number of at least 0")
-        _check_number("dead_zone", self.dead_zone, 0.0, 0.9)
-        _check_number("max_speed", self.max_speed, 0.0)
+        check_counts(0, **labeled(self, "device", "index"))
+        check_numbers(0.0, at_most=0.9, **labeled(self, "device", "dead_zone"))
+        check_numbers(above=0.0, **labeled(self, "device", "max_speed"))
 
     def open(self, limits: SafetyLimits, person: SimulatedUsers | None) -> OpenDevice:
         pad = Gamepad(open_gamepad(self.index), limits.force, self.dead_zone, max_speed=self.max_speed)

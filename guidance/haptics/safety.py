@@ -22,9 +22,6 @@ class SafetyLimits:
         stale_after: s, age at which a request expires; two ticks of the guidance.
         workspace: m from the center; a hand further away is a fault. The corner of the reach is at 0.106 m.
         speed: m/s; a faster hand is a fault. In play, 99.9 % of the time hands are slower than 0.8 m/s.
-
-    Raises:
-        ValueError: a limit is out of range; names the field, the value and what is allowed.
     """
 
     force: float = 3.0

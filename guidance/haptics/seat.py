@@ -10,11 +10,10 @@ from math import inf
 
 import numpy as np
 
-from guidance.haptics.clock import Clock
 from guidance.haptics.hand import HapticHand
 from guidance.haptics.safety import NO_FORCE
-from guidance.haptics.screen import DisplayState, Screen
-from guidance.haptics.servo_loop import PERIOD
+from guidance.haptics.screen import Clock, DisplayState, Screen
+from guidance.haptics.servo import PERIOD
 from guidance.simulated_users import SimulatedUsers
 from guidance.simulated_users.arm import HAND_REACH
 
@@ -81,11 +80,7 @@ class RealTimePlayer:
                 self.person.new_round(mask)
 
     def step(self, state: np.ndarray, force: np.ndarray, rows: np.ndarray | None = None) -> np.ndarray:
-        """Apply `force` (1, 2) N to the hand until the next tick is due; returns the action (1, 2) at that time.
-
-        Raises:
-            Quit: the person quits.
-        """
+        """Apply `force` (1, 2) N to the hand until the next tick is due; returns the action (1, 2) at that time."""
         hand, clock, display, screen = self.hand, self.clock, self.display, self.screen
         hand.push((float(force[0, 0]), float(force[0, 1])), screen.has_focus)
         self.latencies.append(clock.now() - self._observed)
@@ -121,7 +116,6 @@ class RealTimePlayer:
         """Rest without a force until the person presses space; after a fault, only once it is released.
 
         Raises:
-            Quit: the person quits.
             RuntimeError: a fault, and no screen to report it.
         """
         self.pauses += 1

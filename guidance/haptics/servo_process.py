@@ -23,7 +23,7 @@ from typing import Any, NamedTuple
 from guidance.haptics.devices import Device, DeviceError, Pair
 from guidance.haptics.hand import HapticHand
 from guidance.haptics.safety import NO_FORCE, SafetyLimits
-from guidance.haptics.servo_loop import PERIOD, ServoLoop, message_of
+from guidance.haptics.servo import PERIOD, ServoLoop, message_of
 from guidance.haptics.shared_record import SharedRecord
 
 SPIN = 0.0002  # s before its due time in which a step polls the clock instead of sleeping

@@ -69,7 +69,7 @@ class Records:
 
         Args:
             folder: created if absent.
-            manifest: of the study, see `guidance.study.provenance.manifest`; any JSON with `study_hash` and `seed`.
+            manifest: of the study, see `guidance.study.setup.manifest`; any JSON with `study_hash` and `seed`.
 
         Raises:
             ValueError: another process has the folder, or the folder holds another study or none; in one line.
@@ -149,11 +149,7 @@ class Records:
         self._finish_withdrawal()
 
     def trials(self) -> pd.DataFrame:
-        """A row per rated game with the columns of trials.csv, by condition in the paper's order, then by place.
-
-        Raises:
-            ValueError: a game's file was changed; the message names it.
-        """
+        """A row per rated game with the columns of trials.csv, by condition in the paper's order, then by place."""
         rows = []
         for label in self.places:
             for game in load_games(self._person(label) / "beh").values():
@@ -165,11 +161,7 @@ class Records:
         return pd.DataFrame(rows, columns=TRIALS)
 
     def save_trials(self) -> None:
-        """Write trials.csv from the games, if it differs.
-
-        Raises:
-            OSError: it could not be written.
-        """
+        """Write trials.csv from the games, if it differs."""
         path, content = self.folder / "trials.csv", self.trials().to_csv(index=False)
         if not path.exists() or path.read_text(encoding="utf-8") != content:
             save_text(path, content)

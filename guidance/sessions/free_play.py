@@ -17,9 +17,9 @@ from guidance.haptics.screen import Quit
 from guidance.haptics.seat import RealTimePlayer
 from guidance.sessions.game import Game
 from guidance.sessions.recording import Recording
+from guidance.sessions.tick_log import COLUMNS, TickLog, demonstration, scene_facts, tapped_guidance
 from guidance.study.games import GameRunner, MetricsRecorder
 from guidance.study.models import Models
-from guidance.study.tick_log import COLUMNS, TickLog, demonstration, scene_facts, tapped_guidance
 
 MIN_DEMONSTRATION_TICKS = 500  # 10 s; half a minute of play adapts as well as eight minutes
 NOTE_SECONDS = 3.0  # s for which a note is shown
@@ -142,9 +142,6 @@ class FreePlay:
         rows = {self.labels[name]: game.results for name, game in self.games.items()}
         return pd.DataFrame.from_dict(rows, orient="index")
 
-    def _is_unguided(self) -> bool:
-        return not self.condition.guidance.models()
-
     def _begin(self, condition: Condition) -> None:
         self.condition, table = condition, self.runner.tables.table
         self.forces, tap = tapped_guidance(condition, self.models, self.adapted, self.lookahead_seconds)
@@ -161,7 +158,7 @@ class FreePlay:
     def _save(self) -> None:
         rows = self.log.take()
         self.recording.append(rows)
-        if rows and self._is_unguided():
+        if rows and not self.condition.guidance.models():
             self.demonstrations.append(demonstration(pd.DataFrame(rows)))
 
     def _end(self) -> None:

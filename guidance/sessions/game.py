@@ -3,7 +3,6 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from numbers import Integral
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +22,6 @@ RESULTS = (
     "duration_s",
     *(f"{w}_{part}" for w in GuidanceOutput._fields[1:] for part in ("mean", "sd")),
 )
-SCALE = range(1, 8)  # of the ratings
 MISSING = "n/a"  # as in BIDS
 PARTIAL, BEHAVIOR = "_desc-partial_beh", "_beh"  # endings of the names of a game's files
 
@@ -88,17 +86,11 @@ class Game:
         """Save ratings with the game, and return it with them. The same ratings may be saved again with an interview.
 
         Raises:
-            ValueError: items other than `RATINGS`, a value that is not a whole number from 1 to 7, the unscored game,
-                or a game that has other ratings.
+            ValueError: the unscored game, or a game that has other ratings.
             OSError: they could not be saved.
         """
         if self.name == UNSCORED:
             raise ValueError(f"ratings of {self.name}: this game is not rated")
-        if set(ratings) != set(RATINGS):
-            raise ValueError(f"ratings of {self.name} = {', '.join(map(str, ratings))} must be {', '.join(RATINGS)}")
-        for name, value in ratings.items():
-            if not isinstance(value, Integral) or isinstance(value, bool) or value not in SCALE:
-                raise ValueError(f"ratings.{name} = {value!r} must be a whole number from {SCALE[0]} to {SCALE[-1]}")
         ratings = {name: int(ratings[name]) for name in RATINGS}
         if self.ratings is not None and (self.ratings != ratings or self.interview not in ("", interview)):
             raise ValueError(f"ratings of {self.name}: there are some already, {self.ratings}")
@@ -107,11 +99,7 @@ class Game:
 
 
 def load_games(folder: Path) -> dict[str, Game]:
-    """The complete games in a folder after `recover_games`: name -> game, ordered by position.
-
-    Raises:
-        ValueError: a file was changed; the message names it.
-    """
+    """The complete games in a folder after `recover_games`: name -> game, ordered by position."""
     files = (file for file in folder.glob(f"*{BEHAVIOR}.json") if "_desc-" not in file.name)
     games = sorted(map(Game.load, files), key=lambda game: game.position)
     return {game.name: game for game in games}

@@ -1,12 +1,12 @@
 """Markers and ticks of a session on the Lab Streaming Layer, to align them with other recordings.
 
 Two streams: `AirHockeyMarkers`, a text per event (consent, begin oahg_ut, scored, goal, goal against, end oahg_ut,
-rated oahg_ut), and `AirHockeyTicks`, the columns of `guidance.study.tick_log.COLUMNS` at 50 Hz.
+rated oahg_ut), and `AirHockeyTicks`, the columns of `guidance.sessions.tick_log.COLUMNS` at 50 Hz.
 """
 
 from collections.abc import Mapping
 
-from guidance.study.tick_log import COLUMNS
+from guidance.sessions.tick_log import COLUMNS
 
 MARKERS, TICKS = "AirHockeyMarkers", "AirHockeyTicks"
 
@@ -36,11 +36,7 @@ class LabStreams:
 
 
 def open_streams() -> LabStreams:
-    """Open the streams.
-
-    Raises:
-        ValueError: the package pylsl is not installed; says how to install it.
-    """
+    """Open the streams."""
     try:
         return LabStreams()
     except ModuleNotFoundError as error:

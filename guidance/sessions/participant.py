@@ -4,12 +4,11 @@ import hashlib
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from numbers import Integral
 from pathlib import Path
 from typing import Any, Protocol
 
 from airhockey_marl.experiment.files import load_json
-from guidance.sessions.game import UNSCORED, Game, load_games
+from guidance.sessions.game import Game, load_games
 from guidance.sessions.json_files import save_json
 from guidance.sessions.recording import Columns, Recording, recover_games
 
@@ -92,17 +91,14 @@ class Participant:
             raise ValueError(f"{self.label} has not consented")
         if not re.fullmatch(r"[a-z][a-z0-9_]*", name):
             raise ValueError(f"condition = {name!r} must be small letters, digits and underscores")
-        is_whole = isinstance(position, Integral) and not isinstance(position, bool) and position >= 0
-        if not is_whole or (position == 0) != (name == UNSCORED):
-            raise ValueError(f"position = {position} of {name} must be a whole number from 1, and 0 of {UNSCORED}")
         recover_games(self._folder / "beh")
         self.games.update(load_games(self._folder / "beh"))  # a game whose end failed halfway may now be complete
         short = name.replace("_", "")  # underscores separate the parts of a name in BIDS
         for game in self.games.values():
             if game.name.replace("_", "") == short or game.position == position:
                 raise ValueError(f"{self.label} has played {game.name} already, at position {game.position}")
-        stem = self._folder / "beh" / f"sub-{self.label}_task-airhockey_acq-{short}_run-{int(position)}"
-        return self._study.set_active(Recording.begin(stem, name, int(position), columns, facts or {}, self.games))
+        stem = self._folder / "beh" / f"sub-{self.label}_task-airhockey_acq-{short}_run-{position}"
+        return self._study.set_active(Recording.begin(stem, name, position, columns, facts or {}, self.games))
 
     def save_ratings(self, name: str, ratings: Mapping[str, int], interview: str = "") -> None:
         """Save the ratings of a complete game, and add it to trials.csv. The same ratings may be saved again.
@@ -110,10 +106,6 @@ class Participant:
         Args:
             ratings: name in `guidance.simulated_users.ratings.RATINGS` -> 1 to 7.
             interview: the experimenter's note on what the person said about the game.
-
-        Raises:
-            ValueError: there is no such game, or `guidance.sessions.game.Game.rate` rejects the ratings.
-            OSError: a file could not be written.
         """
         self._require_enrolled()
         if name not in self.games:

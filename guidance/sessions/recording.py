@@ -10,7 +10,6 @@ description with the results has its final name, which is one rename. The files 
 
 import math
 import os
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral, Real
@@ -48,32 +47,15 @@ class Recording:
 
     @classmethod
     def begin(
-        cls,
-        stem: Path,
-        name: str,
-        position: int,
-        columns: Columns,
-        facts: Mapping[str, Any],
-        games: dict[str, Game],
+        cls, stem: Path, name: str, position: int, columns: Columns, facts: Mapping[str, Any], games: dict[str, Game]
     ) -> "Recording":
         """Create the files of a game.
 
         Args:
-            columns: descriptions of the columns, in their order.
+            columns: descriptions of the columns, in their order; small letters, as the keys of BIDS have capitals.
             facts: any JSON to keep with the game, such as the device.
             games: receives the game under its name when it is complete.
-
-        Raises:
-            ValueError: a column without a name in small letters, a description or a unit.
-            OSError: the files could not be created.
         """
-        for column, description in columns.items():
-            if not re.fullmatch(r"[a-z][a-z0-9_]*", column):  # the keys of BIDS beside it begin with capitals
-                raise ValueError(f"columns: {column!r} must be small letters, digits and underscores")
-            if absent := [key for key in ("Description", "Units") if not description.get(key)]:
-                raise ValueError(f"columns.{column} lacks {', '.join(absent)}")
-        if not columns:
-            raise ValueError("columns = {} must name at least one")
         described = {name: dict(description) for name, description in columns.items()}
         recording = cls(stem, name, position, described, dict(facts), games)
         save_json(recording._path(PARTIAL, ".json"), recording._description())
@@ -93,27 +75,18 @@ class Recording:
         """Whether ticks can be appended."""
         return self._handle is not None
 
-    def append(self, rows: pd.DataFrame | Sequence[Mapping[str, Any]]) -> None:
+    def append(self, rows: Sequence[Mapping[str, Any]]) -> None:
         """Append ticks, durably: all of them or, if it raises, none.
 
         Args:
-            rows: a table, or a mapping per tick. An absent column, None and NaN are missing values.
+            rows: a mapping per tick. An absent column, None and NaN are missing values.
 
         Raises:
-            ValueError: an unknown column, a value that is not a number, or the game is over.
+            ValueError: a value that is not a number, or the game is over.
             OSError: they could not be written, as on a full disk; the same rows may be appended again.
         """
-        is_table = isinstance(rows, pd.DataFrame)
-        names = list(rows) if is_table else list(dict.fromkeys(name for row in rows for name in row))
-        if unknown := [str(name) for name in names if name not in self.columns]:
-            raise ValueError(f"ticks have the columns {', '.join(unknown)}; allowed are {', '.join(self.columns)}")
-        missing = [None] * len(rows)
-        if is_table:
-            values = [rows[column].tolist() if column in rows else missing for column in self.columns]
-        else:
-            values = [[row.get(column) for row in rows] for column in self.columns]
-        cells = [[_cell(name, value) for value in column] for name, column in zip(self.columns, values, strict=True)]
-        self._write("".join("\t".join(row) + "\n" for row in zip(*cells, strict=True)))
+        cells = [[_cell(name, row.get(name)) for name in self.columns] for row in rows]
+        self._write("".join("\t".join(row) + "\n" for row in cells))
 
     def finish(self, results: Mapping[str, float], facts: Mapping[str, Any] | None = None) -> Game:
         """Complete the game with these results. If this raises, it may be called again.
@@ -123,20 +96,12 @@ class Recording:
             facts: further ones, added to those of `begin`.
 
         Raises:
-            ValueError: results other than `RESULTS`, an infinite one, or the game is over already.
+            ValueError: an infinite result, or the game is over already.
             OSError: they could not be saved.
         """
-        if set(results) != set(RESULTS):
-            wrong = ", ".join(sorted(set(results) ^ set(RESULTS)))
-            raise ValueError(f"results of {self.name}: {wrong} must be there or not: they are {', '.join(RESULTS)}")
-        plain = {name: value.item() if isinstance(value, np.generic) else value for name, value in results.items()}
-        numbers = {name: plain[name] for name in RESULTS}
-        for name, value in numbers.items():
-            if not isinstance(value, Real) or isinstance(value, bool) or math.isinf(value):
-                raise ValueError(f"results.{name} = {value!r} must be a finite number, or NaN where undefined")
         self.facts |= facts or {}
         self._write("")  # drops a partial write after the last tick
-        finite = {name: None if math.isnan(value) else value for name, value in numbers.items()}
+        finite = {name: None if math.isnan(results[name]) else results[name] for name in RESULTS}
         description = self._path(BEHAVIOR, ".json")
         # its rename completes the game; `recover_games` can repeat the rest
         save_json(description, self._description() | {"Results": finite, "Ratings": None, "Interview": ""})
@@ -177,16 +142,8 @@ class Recording:
         self._size += len(content)
 
 
-def recover_games(folder: Path) -> list[Path]:
-    """Repair a person's folder after a crash: complete finished games and rename interrupted ones.
-
-    Returns:
-        The tables of the interrupted games found now, under their final names.
-
-    Raises:
-        OSError: a file could not be renamed; another call goes on.
-    """
-    interrupted = []
+def recover_games(folder: Path) -> None:
+    """Repair a person's folder after a crash: complete finished games and rename interrupted ones."""
     for stem in sorted({folder / file.name.partition(PARTIAL)[0] for file in folder.glob(f"*{PARTIAL}.*")}):
         described, table = (game_file(stem, PARTIAL, suffix) for suffix in (".json", ".tsv"))
         if game_file(stem, BEHAVIOR, ".json").exists():
@@ -201,8 +158,6 @@ def recover_games(folder: Path) -> list[Path]:
             if described.exists():
                 rename_file(described, kept.with_suffix(".json"))
             rename_file(table, kept)
-            interrupted.append(kept)
-    return interrupted
 
 
 def _complete(stem: Path) -> None:

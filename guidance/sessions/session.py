@@ -5,6 +5,7 @@ Each finished step is on the disk before the next begins, so an interrupted sess
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from math import ceil
 from string import ascii_lowercase
 from typing import Protocol as Interface
@@ -21,11 +22,11 @@ from guidance.haptics.seat import RealTimePlayer
 from guidance.sessions.game import UNSCORED
 from guidance.sessions.participant import Participant
 from guidance.sessions.recording import Recording
+from guidance.sessions.tick_log import COLUMNS, TickLog, demonstration, read_ticks, scene_facts, tapped_guidance
 from guidance.simulated_users.ratings import RATINGS
 from guidance.study.games import GameRunner, GameStep, play_games
 from guidance.study.models import Models
 from guidance.study.protocol import CALIBRATION_GAME, Protocol, RandomStream, counterbalanced_order, spawn_rng_states
-from guidance.study.tick_log import COLUMNS, TickLog, demonstration, read_ticks, scene_facts, tapped_guidance
 
 WELCOME = (
     "You play at the left side, in blue. The paddle follows your hand. Whoever gets the puck into the other's goal "
@@ -137,10 +138,6 @@ class Session:
         events: Events | None = None,
         on_game: Callable[[int], None] = lambda game: None,
     ) -> None:
-        if participant.place >= plan.participants:
-            raise ValueError(
-                f"participants = {plan.participants}: {participant.label} would be number {participant.place + 1}"
-            )
         self.plan, self.participant, self.player, self.ui = plan, participant, player, ui
         self.events, self.on_game = events or NullEvents(), on_game
         player.mark = self.events.mark
@@ -149,17 +146,14 @@ class Session:
         self.order = [plan.conditions[i] for i in np.argsort(places)]
 
     def run(self) -> bool:
-        """Run the open steps; returns whether the person takes part.
-
-        Raises:
-            Quit: the person quits; finished steps are kept.
-        """
+        """Run the open steps; returns whether the person takes part."""
         if not self._consented():
             return False
         if UNSCORED not in self.participant.games:
             self._practice()
             self._read("A first game", FIRST_GAME, {"return": "begin"})
-            self._play(self._without_guidance(), UNSCORED, 0, CALIBRATION_GAME, "A first game")
+            unguided = next(condition for condition in self.plan.conditions if not condition.guidance.models())
+            self._play(unguided, UNSCORED, 0, CALIBRATION_GAME, "A first game")
         self.adapted = self.plan.models.adapted_to([demonstration(read_ticks(self.participant.games[UNSCORED].file))])
         for number, condition in enumerate(self.order, 1):
             game = self.participant.games.get(condition.name)
@@ -186,9 +180,6 @@ class Session:
         max_rounds = protocol.rounds + protocol.extra_rounds
         numbers = {"familiarization": protocol.familiarization, "rounds": protocol.rounds, "most": max_rounds}
         return self.ui.page(Page(title, text.format(number=number, games=len(self.order), **numbers), keys))
-
-    def _without_guidance(self) -> Condition:
-        return next(condition for condition in self.plan.conditions if not condition.guidance.models())
 
     def _practice(self) -> None:
         """A game without guidance that is not recorded and ends by a key."""
@@ -226,9 +217,7 @@ class Session:
             self.events.mark(f"begin {name}")
             player.display = DisplayState(title=title)
 
-            def on_tick(tick: GameStep, scored: bool, ended: np.ndarray) -> None:
-                self._watch(log, recording, tick, scored, ended)
-
+            on_tick = partial(self._watch, log, recording)
             try:
                 result = play_games(
                     player, plan.opponent, forces, plan.protocol, table, self._serves(game), on_tick=on_tick

@@ -2,7 +2,7 @@
 
 from guidance.simulated_users.advisors import NO_ADVISORS, Advisors, load_advisors
 from guidance.simulated_users.population import Population, personal_streams, sample_people, training_people
-from guidance.simulated_users.users import SimulatedUsers
+from guidance.simulated_users.users import SimulatedUsers, load_population
 
 __all__ = [
     "NO_ADVISORS",
@@ -10,6 +10,7 @@ __all__ = [
     "Population",
     "SimulatedUsers",
     "load_advisors",
+    "load_population",
     "personal_streams",
     "sample_people",
     "training_people",

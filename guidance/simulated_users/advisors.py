@@ -42,11 +42,7 @@ def stack_advisors(league: League) -> Advisors:
 
 
 def load_advisors(path: Path | str | None) -> Advisors:
-    """The advisors in a league's file; `NO_ADVISORS` for None.
-
-    Raises:
-        ValueError: the file is missing or broken.
-    """
+    """The advisors in a league's file; `NO_ADVISORS` for None."""
     return NO_ADVISORS if path is None else stack_advisors(League.load(path))
 
 

@@ -125,10 +125,8 @@ def _planned_acceleration(arm, person, age):
 def write_prediction_error(arm, model, out):
     """Write the deviation of the hand's position and velocity from its forward model: (4,) m and m/s."""
     out[0], out[1] = arm.hand_x - model.hand_x + model.correction_x, arm.hand_y - model.hand_y + model.correction_y
-    out[2], out[3] = (
-        arm.hand_v_x - model.hand_v_x + model.correction_v_x,
-        arm.hand_v_y - model.hand_v_y + model.correction_v_y,
-    )
+    out[2] = arm.hand_v_x - model.hand_v_x + model.correction_v_x
+    out[3] = arm.hand_v_y - model.hand_v_y + model.correction_v_y
 
 
 @njit(cache=True)
@@ -137,10 +135,8 @@ def estimate_state(arm, model, error):
 
     The model is a copy of the arm that gets every command but neither noise nor forces (Wolpert et al. 1995).
     """
-    arm.estimate_x, arm.estimate_y = (
-        model.hand_x - model.correction_x + error[0],
-        model.hand_y - model.correction_y + error[1],
-    )
+    arm.estimate_x = model.hand_x - model.correction_x + error[0]
+    arm.estimate_y = model.hand_y - model.correction_y + error[1]
     arm.estimate_v_x = model.hand_v_x - model.correction_v_x + error[2]
     arm.estimate_v_y = model.hand_v_y - model.correction_v_y + error[3]
 
@@ -152,19 +148,11 @@ def reset_forward_model(model, arm):
     model.correction_y += arm.estimate_y - model.hand_y
     model.correction_v_x += arm.estimate_v_x - model.hand_v_x
     model.correction_v_y += arm.estimate_v_y - model.hand_v_y
-    model.hand_x, model.hand_y, model.hand_v_x, model.hand_v_y = (
-        arm.estimate_x,
-        arm.estimate_y,
-        arm.estimate_v_x,
-        arm.estimate_v_y,
-    )
+    model.hand_x, model.hand_y = arm.estimate_x, arm.estimate_y
+    model.hand_v_x, model.hand_v_y = arm.estimate_v_x, arm.estimate_v_y
     model.ref_x, model.ref_y, model.plan_seconds, model.plan_age = arm.ref_x, arm.ref_y, arm.plan_seconds, arm.plan_age
-    model.initial_acceleration_x, model.initial_acceleration_y, model.start_v_x, model.start_v_y = (
-        arm.initial_acceleration_x,
-        arm.initial_acceleration_y,
-        arm.start_v_x,
-        arm.start_v_y,
-    )
+    model.initial_acceleration_x, model.initial_acceleration_y = arm.initial_acceleration_x, arm.initial_acceleration_y
+    model.start_v_x, model.start_v_y = arm.start_v_x, arm.start_v_y
     model.c2_x, model.c2_y, model.c3_x, model.c3_y = arm.c2_x, arm.c2_y, arm.c3_x, arm.c3_y
     model.end_v_x, model.end_v_y = arm.end_v_x, arm.end_v_y
 

@@ -25,11 +25,7 @@ class Variant(IntEnum):
 
 
 def check_variant(name: str) -> None:
-    """Raise if `name` is not the name of a `Variant`.
-
-    Raises:
-        ValueError: names the key of the configuration, the value and what is allowed.
-    """
+    """Raise if `name` is not the name of a `Variant`."""
     if name not in Variant.__members__:
         raise ValueError(f"users.variant = {name!r} must be one of {', '.join(Variant.__members__)}")
 

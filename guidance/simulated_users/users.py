@@ -3,18 +3,26 @@
 from math import ceil
 
 import numpy as np
+from omegaconf import DictConfig
 
 from airhockey_marl.envs.physics import TableSpec, check_table
 from airhockey_marl.experiment.parallel import parallel_for
+from airhockey_marl.experiment.registry import construct
 from airhockey_marl.experiment.validation import check_rows
 from guidance.simulated_users.advisors import NO_ADVISORS, Advisors
 from guidance.simulated_users.arm import ARM_STATE
-from guidance.simulated_users.force_response import Variant
+from guidance.simulated_users.force_response import Variant, check_variant
 from guidance.simulated_users.intention import NO_INSTRUCTION, Intention
-from guidance.simulated_users.population import USER_PARAMETERS
+from guidance.simulated_users.population import USER_PARAMETERS, Population
 from guidance.simulated_users.ratings import RATING_SIGNALS, SIGNALS, likert_points, rating_z_scores, signals
 from guidance.simulated_users.state import USER_STATE, Setting, UserArrays
 from guidance.simulated_users.tick import reset_users, step_users
+
+
+def load_population(users: DictConfig) -> Population:
+    """The population of the section `users` of a configuration; raises a ValueError for an invalid one or `variant`."""
+    check_variant(users.variant)
+    return construct(Population, users.population, "users.population")
 
 
 class SimulatedUsers:
@@ -29,9 +37,6 @@ class SimulatedUsers:
         table: the `TableSpec` that they know by practice.
         variant: name of a `Variant` of the response to a force.
         advisors: players whose actions weigh in the choice of intentions; none if None.
-
-    Raises:
-        ValueError: a shape, dtype or variant is wrong.
     """
 
     def __init__(
@@ -48,8 +53,7 @@ class SimulatedUsers:
         streams = np.asarray(streams)
         if streams.dtype != np.uint64 or streams.shape != people.shape:
             raise ValueError(f"streams {streams.dtype} {streams.shape} must be uint64 {people.shape}")
-        if variant not in Variant.__members__:
-            raise ValueError(f"variant = {variant!r} must be one of {', '.join(Variant.__members__)}")
+        check_variant(variant)
         self.n, self.people, self.streams = n, people, streams = len(people), people.copy(), streams.copy()
         self.table = check_table(table or TableSpec())
         self.variant, self.advisors = Variant[variant], advisors or NO_ADVISORS
@@ -108,9 +112,6 @@ class SimulatedUsers:
 
         Returns:
             (n, 2) float64 action in [-1, 1]: the hand's position over its reach of 0.075 m. The same array each time.
-
-        Raises:
-            ValueError: a shape is wrong or a value is not finite.
         """
         for name, value, columns in (("state", state, 12), ("force", force, 2)):
             if np.shape(value) != (self.n, columns) or np.asarray(value).dtype.kind not in "fiu":
@@ -173,9 +174,6 @@ class SimulatedUsers:
 
         Returns:
             Helpfulness, naturalness, controllability and comfort, (n,) float64 each, whole numbers in 1..7.
-
-        Raises:
-            ValueError: a scale is missing, unknown or not above 0.
         """
         if set(scales) != set(SIGNALS):
             raise ValueError(f"scales = {sorted(scales)} must be exactly {', '.join(SIGNALS)}")

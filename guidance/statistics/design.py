@@ -100,9 +100,6 @@ def conditions_of(trials: pd.DataFrame, declared: Mapping[str, Condition] | None
     Args:
         declared: conditions beyond the paper's, see `declared_conditions`. One that is not among them is labeled with
             its name; it gets the first free letter from j on, as does one whose letter is another condition's.
-
-    Raises:
-        ValueError: there are more conditions than letters.
     """
     present, declared = list(dict.fromkeys(trials["condition"])), declared or {}
     conditions = {name: condition for name, condition in CONDITIONS.items() if name in present}

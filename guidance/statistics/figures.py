@@ -73,18 +73,9 @@ def figure6(
     figure = new_figure(13.5, 6.6)
     panels = figure.subplots(2, 4).flat
     for axes, (name, metric) in zip(panels, METRICS.items(), strict=True):
-        _draw_bars(
-            axes,
-            trials.pivot(index="user", columns="condition", values=name)[list(present)],
-            list(present.values()),
-            metric,
-            name in withdrawn,
-            people,
-        )
-    legend = [
-        Patch(color=color_of(condition), label=f"({condition.letter}) {condition.label}")
-        for condition in present.values()
-    ]
+        scores = trials.pivot(index="user", columns="condition", values=name)[list(present)]
+        _draw_bars(axes, scores, list(present.values()), metric, name in withdrawn, people)
+    legend = [Patch(color=color_of(c), label=f"({c.letter}) {c.label}") for c in present.values()]
     style = {"frameon": False, "fontsize": 8.5, "handlelength": 1.1, "columnspacing": 1.4, "handletextpad": 0.5}
     inches = sum(LEGEND_ENTRY[0] + LEGEND_ENTRY[1] * len(patch.get_label()) for patch in legend)
     rows = ceil(inches / figure.get_figwidth())
@@ -161,9 +152,8 @@ def means_beside(
         axes.yaxis.label.set_fontsize(8 if rating else 9)
         axes.set_xticks(range(len(conditions)), [f"({condition.letter})" for condition in conditions.values()])
         axes.set_xlim(-0.6, len(conditions) - 0.4)
-    figure.legend(
-        *panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2, frameon=False, fontsize=9
-    )
+    entries = panels[0].get_legend_handles_labels()
+    figure.legend(*entries, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
     return figure
 
 

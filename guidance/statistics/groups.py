@@ -1,17 +1,22 @@
 """Groups of participants, people or simulated people, and the comparison of two groups; groups are never pooled."""
 
-from collections.abc import Mapping, Sequence
+import json
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from airhockey_marl.experiment.files import find_files, sha256
 from guidance.statistics.design import METRICS, Condition, Metric, conditions_of, declared_conditions, declared_metrics
 from guidance.statistics.figures import confidence_half_width
 from guidance.statistics.paper import compare_with_paper
-from guidance.statistics.tests import run_tests
+from guidance.statistics.tests import check_trials, run_tests
 
+TRIALS = "trials.csv"
+FORMULA = "=+-@"  # first characters of a spreadsheet formula
 UNTESTED = ("not_tested", "withdrawn")  # outcomes without a result
 
 
@@ -68,6 +73,11 @@ class Group:
         return [] if self.people else list(self.run_manifest.get("config", {}).get("users", {}).get("withdrawn", []))
 
     @property
+    def study_hash(self) -> str | None:
+        """The hash of the study; None if unknown."""
+        return self.run_manifest.get("study_hash")
+
+    @property
     def size(self) -> int:
         """The number of participants."""
         return self.trials["user"].nunique()
@@ -81,6 +91,11 @@ class Group:
     def comparison(self) -> pd.DataFrame:
         """See `guidance.statistics.paper.compare_with_paper`."""
         return compare_with_paper(self.tests, self.withdrawn)
+
+    @property
+    def findings(self) -> pd.DataFrame:
+        """The rows of `comparison` that are the paper's 38 findings."""
+        return self.comparison[self.comparison["paper"] == "significant"]
 
 
 def of_people(manifest: Mapping[str, Any]) -> bool:
@@ -125,25 +140,19 @@ def side_by_side(here: Group, beside: Group) -> dict[str, Any]:
         }
         for name, condition in conditions.items()
     ]
-    comparisons = [group.comparison[group.comparison["paper"] == "significant"] for group in groups]
+    comparisons = [group.findings for group in groups]
     findings = []
     for rows in zip(*(comparison.to_dict("records") for comparison in comparisons), strict=True):
         sign = 1 if rows[0]["x"] == rows[0]["paper_greater"] else -1
         less = rows[0]["y"] if sign == 1 else rows[0]["x"]
         findings.append(rows[0] | {"less": less, "rows": [row | {"toward_paper": sign * row["dz"]} for row in rows]})
     replicated = [comparison["outcome"].eq("replicated").to_numpy() for comparison in comparisons]
-    tested = ~(
-        comparisons[0]["outcome"].isin(UNTESTED) | comparisons[1]["outcome"].isin(UNTESTED).to_numpy()
-    ).to_numpy()
+    first_untested, second_untested = (c["outcome"].isin(UNTESTED).to_numpy() for c in comparisons)
+    tested = ~(first_untested | second_untested)
     first, second = replicated
     return {
         "groups": [
-            {
-                "name": name,
-                "people": group.people,
-                "size": group.size,
-                "study_hash": group.run_manifest.get("study_hash"),
-            }
+            {"name": name, "people": group.people, "size": group.size, "study_hash": group.study_hash}
             for name, group in zip(names_of(groups), groups, strict=True)
         ],
         "means": means,
@@ -168,3 +177,84 @@ def _cells(trials: pd.DataFrame) -> dict[str, Any]:
     """One group in one condition: number of trials; per metric mean and half the 95 % interval, NaN without trials."""
     half = confidence_half_width(trials[list(METRICS)].astype(float))
     return {"n": len(trials)} | {metric: (trials[metric].mean(), half[metric]) for metric in METRICS}
+
+
+def gather(places: Iterable[str | Path], mixed: bool = False) -> Group:
+    """The group of the trials at or below these places, with their manifests and the hashes of their files."""
+    files = find_files(places, TRIALS)
+    manifests = {str(file.parent): _manifest(file) for file in files}
+    manifest = next(iter(manifests.values())) if len(files) == 1 else {"runs": manifests}
+    if len({run.get("study_hash") for run in manifests.values()}) > 1:
+        manifest |= {"frozen": False}  # at most one of several studies is the frozen one
+    group = Group(merge(files, mixed), manifest | {"trials_sha256": {str(file): sha256(file) for file in files}})
+    check_trials(group.trials, group.people)
+    return group
+
+
+def merge(folders: Iterable[str | Path], mixed: bool = False) -> pd.DataFrame:
+    """Concatenate every trials.csv at or below the given files, folders or glob patterns.
+
+    Simulated people of different seeds or studies are different people. Where there are several, `user` contains the
+    seed and the first digits of the study's hash, as in "S01 of 2022 in 1a2b3c4d".
+
+    Args:
+        mixed: allow runs of different studies.
+
+    Raises:
+        ValueError: no file is found, a file is broken or empty, a game occurs twice, the runs are of different studies
+            (`study_hash` of manifest.json) and not `mixed`, or some are of people and some not.
+    """
+    files = find_files(folders, TRIALS)
+    studies: dict[str, list[str]] = {}
+    manifests = [_manifest(file) for file in files]
+    for file, manifest in zip(files, manifests, strict=True):
+        if "study_hash" in manifest:
+            studies.setdefault(manifest["study_hash"], []).append(str(file.parent))
+    if len(studies) > 1 and not mixed:
+        listed = "; ".join(f"{study}: {', '.join(places)}" for study, places in studies.items())
+        raise ValueError(f"these runs are of different studies and cannot be merged, unless mixed=true: {listed}")
+    if len(kinds := {of_people(manifest) for manifest in manifests}) > 1:
+        raise ValueError("people and simulated people cannot be merged: name one of them as beside")
+    tables = [
+        _read(file).assign(study=manifest.get("study_hash", ""), place=str(file))
+        for file, manifest in zip(files, manifests, strict=True)
+    ]
+    trials = pd.concat(tables, ignore_index=True)
+    key = ["user", "condition", "seed", *(["study"] if mixed else [])]
+    if (repeated := trials[trials.duplicated(key, keep=False)]).size:
+        by_game = repeated.groupby(key, sort=False)["place"]
+        games = by_game.agg(lambda places: " and ".join(sorted(places))).reset_index()
+        listed = ", ".join(f"{row.user} {row.condition} (seed {row.seed})" for row in games.itertuples())
+        raise ValueError(f"the same game more than once, in {'; '.join(games['place'].unique())}: {listed}")
+    if kinds == {False}:
+        if trials["seed"].nunique() > 1:
+            trials["user"] += " of " + trials["seed"].astype("str")
+        if trials["study"].nunique() > 1:
+            trials["user"] += " in " + trials["study"].str[:8]
+    return trials.drop(columns=["study", "place"])
+
+
+def _read(file: Path) -> pd.DataFrame:
+    try:
+        trials = pd.read_csv(file, dtype={"user": "str", "condition": "str"})
+    except ValueError as error:  # pandas does not name the file
+        raise ValueError(f"{file}: {error}") from error
+    if absent := [column for column in ("user", "condition", "seed", *METRICS) if column not in trials]:
+        raise ValueError(f"{file} lacks the columns {', '.join(absent)}")
+    if trials.empty:
+        raise ValueError(f"{file} holds no games")
+    for name in ("user", "condition"):  # spreadsheet programs run texts that begin like a formula
+        for text in trials[name].dropna().unique():
+            if text[:1] in FORMULA or not text.isprintable():
+                raise ValueError(f"{file}: {name} = {text[:40]!r} must be a name, and begin with none of {FORMULA}")
+    return trials
+
+
+def _manifest(trials_file: Path) -> dict[str, Any]:
+    file = trials_file.with_name("manifest.json")
+    if not file.is_file():
+        return {}
+    try:
+        return json.loads(file.read_text(encoding="utf-8"))
+    except json.JSONDecodeError as error:
+        raise ValueError(f"{file} is not JSON: {error}") from error

@@ -36,9 +36,8 @@ def compare_with_paper(tests: pd.DataFrame, withdrawn: Collection[str] = ()) -> 
         not_significant; of a non-finding false_positives or agrees; of both not_tested where no test could be
         computed, and withdrawn where the metric is.
     """
-    findings = published_results("findings")[["id", "table", "evidence", "dz_min"]].rename(
-        columns={"dz_min": "dz_paper"}
-    )
+    findings = published_results("findings")[["id", "table", "evidence", "dz_min"]]
+    findings = findings.rename(columns={"dz_min": "dz_paper"})
     paper = published_results("grid").merge(findings, on="id", how="left")
     paper = paper.rename(columns={"greater": "paper_greater", "p_reported": "p_paper"})
     status = {"sig": "significant", "ns": "not_significant", "ns_anova_gate": "anova_not_significant"}
@@ -54,10 +53,7 @@ def compare_with_paper(tests: pd.DataFrame, withdrawn: Collection[str] = ()) -> 
         on=["family", "metric", "x", "y"],
         how="left",
     )
-    flags = {
-        "anova_not_significant": both["anova_not_significant"].eq(True),
-        "significant": both["significant"].eq(True),
-    }
+    flags = {name: both[name].eq(True) for name in ("anova_not_significant", "significant")}
     both = both.assign(**flags, greater=both["greater"].fillna(""))
 
     finding = both["paper"].eq("significant")
@@ -85,10 +81,8 @@ def count_findings(comparison: pd.DataFrame) -> pd.DataFrame:
         `cells`, `tested`, `replicated`, `reversed`, `false_positives` (counts).
     """
     finding = comparison["evidence"].ne("")
-    groups = {evidence: comparison["evidence"].eq(evidence) for evidence in EVIDENCE} | {
-        "all": finding,
-        "none": ~finding,
-    }
+    groups = {evidence: comparison["evidence"].eq(evidence) for evidence in EVIDENCE}
+    groups |= {"all": finding, "none": ~finding}
     tested = ~comparison["outcome"].isin(("not_tested", "withdrawn"))
     outcomes = ("replicated", "reversed", "false_positives")
     counts = {
@@ -107,8 +101,6 @@ def reference_points(n: int = 20) -> tuple[float, float]:
     """
     from scipy import stats
 
-    if not isinstance(n, int) or n < 2:
-        raise ValueError(f"n = {n!r} must be a whole number of at least 2")
     findings = published_results("findings")
     tail = ALPHA / 2 / findings["bonferroni_m"]
     power = stats.nct.sf(stats.t.isf(tail, n - 1), n - 1, findings["dz_min"] * np.sqrt(n))

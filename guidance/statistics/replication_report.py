@@ -35,11 +35,8 @@ def summarize(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
     outcomes, scores = pd.concat(outcomes, ignore_index=True), pd.DataFrame(scores)
     findings, wrong = findings_over(outcomes), false_positives_over(outcomes)
     groups = list(scores["group"].unique())
-    leans = {
-        v: influential_assumptions(outcomes[outcomes["group"] == v], factors)
-        for v in cfg.sensitivity.variants
-        if v in groups
-    }
+    variants = [variant for variant in cfg.sensitivity.variants if variant in groups]
+    leans = {name: influential_assumptions(outcomes[outcomes["group"] == name], factors) for name in variants}
     tables = {"outcomes": outcomes, "studies": scores, "robustness": findings}
     for name, table in tables.items():
         with atomic_write(folder / f"{name}.csv") as temporary:

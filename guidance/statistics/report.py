@@ -35,7 +35,7 @@ SHORT_METRICS = ("win rate", "smash", "defense", "disagree", "helpful", "natural
 
 def write_report(
     trials: pd.DataFrame, folder: Path | str, manifest: Mapping[str, Any], beside: Group | None = None
-) -> pd.DataFrame:
+) -> Group:
     """Test the trials and write tests.csv, figure6.png, figure6.svg and report.html into `folder`.
 
     Every file is replaced atomically. report.html contains its style and figures and loads nothing.
@@ -49,13 +49,8 @@ def write_report(
         beside: another group, tested separately and shown beside these trials, in beside.png, beside.svg and a section.
 
     Returns:
-        The tests, see `guidance.statistics.tests.run_tests`.
-
-    Raises:
-        ValueError: there are no trials, or they are not valid, see `guidance.statistics.tests.check_trials`.
+        The trials, with their tests.
     """
-    if trials.empty:
-        raise ValueError("no trials to report")
     folder, group = Path(folder), Group(trials, manifest)
     with atomic_write(folder / "tests.csv") as path:
         group.tests.to_csv(path, index=False)
@@ -64,7 +59,7 @@ def write_report(
     )
     comparison = {} if beside is None else _beside(group, beside, folder)
     write_text(folder / "report.html", _page(group, svg, {"beside": None} | comparison))
-    return group.tests
+    return group
 
 
 def screen_table(trials: pd.DataFrame, people: bool = False, declared: Mapping[str, Condition] | None = None) -> str:
@@ -96,18 +91,14 @@ def _beside(here: Group, beside: Group, folder: Path) -> dict[str, Any]:
 
 def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
     """The page of a group; `svg` is Figure 6."""
-    trials, tests, withdrawn, people, conditions = (
-        group.trials,
-        group.tests,
-        group.withdrawn,
-        group.people,
-        group.conditions,
-    )
+    trials, tests, withdrawn, people = group.trials, group.tests, group.withdrawn, group.people
+    conditions = group.conditions
     comparison = group.comparison.copy()
     comparison["less"] = [_other(row.x, row.y, row.greater) for row in comparison.itertuples()]
     comparison["paper_less"] = [_other(row.x, row.y, row.paper_greater) for row in comparison.itertuples()]
     comparison["dz_toward_paper"] = comparison["dz"] * np.where(comparison["x"] == comparison["paper_greater"], 1, -1)
     findings = comparison[comparison["paper"] == "significant"]
+    by_ranks = findings["rank_p"].lt(ALPHA) & findings["greater"].eq(findings["paper_greater"])
     tested = ~comparison["outcome"].isin(UNTESTED)
     counts = comparison["significant"] & tested
     ours = comparison.assign(tested=tested, greater=comparison["greater"].where(counts, ""))
@@ -147,7 +138,7 @@ def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
         own=[condition for condition in conditions.values() if condition.guidance == BEYOND],
         beyond=_beyond_rows(tests),
         planned_comparisons=tests[tests["test"] == "planned"].to_dict("records"),
-        by_ranks=int((findings["rank_p"].lt(ALPHA) & _same_sign(findings) & ~findings["metric"].isin(withdrawn)).sum()),
+        by_ranks=int((by_ranks & ~findings["metric"].isin(withdrawn)).sum()),
         weights=_weights(trials),
         questions=QUESTIONS,
         answers=answer_questions(ours, people),
@@ -205,10 +196,6 @@ def _beyond_rows(tests: pd.DataFrame) -> list[dict[str, Any]]:
     own = ~tests["x"].isin(PAPER_LETTERS) | ~tests["y"].isin(PAPER_LETTERS)
     rows = tests[(tests["family"] == BEYOND) & (tests["test"] == "posthoc") & own & tests["significant"]]
     return [row | {"less": _other(row["x"], row["y"], row["greater"])} for row in rows.to_dict("records")]
-
-
-def _same_sign(findings: pd.DataFrame) -> pd.Series:
-    return findings["greater"].eq(findings["paper_greater"])
 
 
 def _weights(trials: pd.DataFrame) -> list[dict[str, Any]]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.tensorboard import (
@@ -20,15 +19,14 @@ from airhockey_marl.experiment.tensorboard import (
     tensorboard_dir,
 )
 from guidance.forces.conditions import GuidanceOutput
-from guidance.statistics.design import METRICS, conditions_of
-from guidance.statistics.paper import compare_with_paper
+from guidance.statistics.design import METRICS
 from guidance.statistics.report import screen_table
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
 
     from guidance.forces.conditions import Condition as PlayedCondition
-    from guidance.statistics.design import Condition
+    from guidance.statistics.groups import Group
 
 BINS = 50
 WEIGHTS = GuidanceOutput._fields[1:]
@@ -53,29 +51,20 @@ LAYOUT = {
 }
 
 
-def log_study(
-    cfg: DictConfig,
-    folder: Path,
-    trials: pd.DataFrame,
-    tests: pd.DataFrame,
-    histograms: Histograms,
-    declared: Mapping[str, Condition] | None = None,
-) -> None:
+def log_study(cfg: DictConfig, folder: Path, group: Group, histograms: Histograms) -> None:
     """Log a study whose report `write_report` has written to `folder`, with the tags of `TAGS`."""
-    means = trials.groupby("condition")[list(METRICS)].mean()
-    findings = compare_with_paper(tests, list(cfg.users.withdrawn))
-    findings = findings.loc[findings["paper"] == "significant", "outcome"]
+    means = group.trials.groupby("condition")[list(METRICS)].mean()
     with open_writer(tensorboard_dir(folder)) as writer:
         log_run_header(writer, cfg, TAGS, LAYOUT)
-        for name, condition in conditions_of(trials, declared).items():
+        for name, condition in group.conditions.items():
             x = 1 + ascii_lowercase.index(condition.letter)  # a tag per condition: a joint curve would be smoothed
             for metric, mean in means.loc[name].dropna().items():
                 writer.add_scalar(f"study/{metric}/{name}", mean, x)
-        writer.add_text("means", code_block(screen_table(trials, declared=declared)))
+        writer.add_text("means", code_block(screen_table(group.trials, declared=group.declared)))
         histograms.log(writer)
         add_picture(writer, "figure/figure6", (folder / "figure6.png").read_bytes(), 0)
     scores = {metric: means[metric].mean() for metric in ("win_rate", "mean_smash_speed", "defense_rate")}
-    log_final_scores(folder, cfg, scores | {"replicated": float((findings == "replicated").sum())})
+    log_final_scores(folder, cfg, scores | {"replicated": float((group.findings["outcome"] == "replicated").sum())})
 
 
 class Histograms:

@@ -76,9 +76,6 @@ def run_tests(
         `anova_not_significant`: a post hoc test after an ANOVA without a significant effect, which the paper omits.
         `significant`: p_corrected < .05 and not anova_not_significant. `proxy`: a rating that is a proxy.
         Statistic and p are NaN where the differences do not vary.
-
-    Raises:
-        ValueError: the trials are not valid, see `check_trials`.
     """
     check_trials(trials, people)
     rows: list[dict[str, Any]] = []
@@ -152,20 +149,20 @@ def _compare(scores: pd.DataFrame) -> list[dict[str, Any]]:
     anova = _rm_anova(scores)
     anova_not_significant = not anova["p_corrected"] < ALPHA  # also if it is NaN
     posthoc = [_paired_t(scores, *pair) for pair in pairs]
-    return [anova | _verdict("rm_anova", anova["p_corrected"], anova_not_significant=False)] + [
-        row
-        | _verdict("posthoc", _bonferroni(row["p"], len(pairs)), anova_not_significant)
-        | {"rank_p_corrected": _bonferroni(row.get("rank_p", np.nan), len(pairs))}
-        for row in posthoc
-    ]
+    verdict = _verdict("rm_anova", anova["p_corrected"], anova_not_significant=False)
+    return [anova | verdict, *_corrected("posthoc", posthoc, anova_not_significant)]
 
 
 def _planned(pairs: list[pd.DataFrame]) -> list[dict[str, Any]]:
     """Planned comparisons of one metric; scores (participants, 2) each, corrected for their number."""
-    rows = [_paired_t(scores, *scores.columns) for scores in pairs]
+    return _corrected("planned", [_paired_t(scores, *scores.columns) for scores in pairs], anova_not_significant=False)
+
+
+def _corrected(test: str, rows: list[dict[str, Any]], anova_not_significant: bool) -> list[dict[str, Any]]:
+    """Paired tests with Bonferroni's correction for their number."""
     return [
         row
-        | _verdict("planned", _bonferroni(row["p"], len(rows)), anova_not_significant=False)
+        | _verdict(test, _bonferroni(row["p"], len(rows)), anova_not_significant)
         | {"rank_p_corrected": _bonferroni(row.get("rank_p", np.nan), len(rows))}
         for row in rows
     ]
@@ -177,12 +174,8 @@ def _bonferroni(p: float, tests: int) -> float:
 
 def _verdict(test: str, p_corrected: float, anova_not_significant: bool) -> dict[str, Any]:
     significant = bool(p_corrected < ALPHA and not anova_not_significant)
-    return {
-        "test": test,
-        "p_corrected": p_corrected,
-        "anova_not_significant": anova_not_significant,
-        "significant": significant,
-    }
+    flags = {"anova_not_significant": anova_not_significant, "significant": significant}
+    return {"test": test, "p_corrected": p_corrected} | flags
 
 
 def _constant(values: np.ndarray, scale: float) -> bool:

@@ -8,7 +8,6 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from airhockey_marl.experiment.validation import check_rows, kind_of
 from airhockey_marl.players.inference import make_inference
 from guidance.forces.conditions import (
     ADAPTED,
@@ -39,9 +38,6 @@ class BatchedGuidance:
         models: see `Models`.
         adapted: the users' own parameters, batch size (users,), or None if no condition has UA.
         lookahead_seconds: T_lookahead of Eq. 4.
-
-    Raises:
-        ValueError: a condition has UA and `adapted` is not of all users, or the look-ahead is negative.
     """
 
     def __init__(
@@ -52,8 +48,6 @@ class BatchedGuidance:
         adapted: TensorDict | None,
         lookahead_seconds: float,
     ) -> None:
-        if not 0 <= lookahead_seconds < float("inf"):
-            raise ValueError(f"guidance.lookahead = {lookahead_seconds} must be at least 0 seconds")
         self.conditions, self.users, self.models = list(conditions), users, models
         self.lookahead_seconds = lookahead_seconds
         self._all = np.arange(len(self.conditions) * users)
@@ -70,9 +64,8 @@ class BatchedGuidance:
         self._springs = {}  # a spring of each kind -> mask (models, games) of the targets it pulls toward
         for part, mask in self._masks(springs_of).items():
             kind = replace(part, model=OPTIMAL)
-            self._springs.setdefault(kind, np.zeros((len(MODELS), len(mask)), dtype=bool))[MODELS.index(part.model)] = (
-                mask
-            )
+            masks = self._springs.setdefault(kind, np.zeros((len(MODELS), len(mask)), dtype=bool))
+            masks[MODELS.index(part.model)] = mask
 
     def _masks(self, keys_of: Callable[[Guidance], Iterable[Hashable]]) -> dict[Hashable, np.ndarray]:
         """The mask (games,) of the games whose guidance has a key, by key."""
@@ -91,14 +84,7 @@ class BatchedGuidance:
         Returns:
             `GuidanceOutput` of float64 tensors: force (k, 2); weights (k,), NaN where a guidance has none.
         """
-        for name, value, columns in (("state", state, 12), ("action", action, 2)):
-            if np.shape(value) != (len(self._all), columns) or value.dtype.kind != "f":
-                shape = (len(self._all), columns)
-                raise ValueError(f"{name}: {kind_of(value)}, must be an array of floats of shape {shape}")
         games = self._all if games is None else games
-        check_rows("games", games, len(self._all))
-        if (games[1:] <= games[:-1]).any():
-            raise ValueError(f"games: {games.tolist()}, must be ascending")
         now, hand = (torch.from_numpy(value[games]).float() for value in (state, action))
         targets = self._predict(now.numpy(), games)
         force, weight = self._pull(hand, targets, games)

@@ -6,7 +6,6 @@ import numpy as np
 import torch
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.validation import check_counts
 from airhockey_marl.players.players import Player
 from guidance.simulated_users import Advisors, SimulatedUsers
 from guidance.study.games import GameRunner
@@ -31,11 +30,7 @@ def collect_demonstrations(
     Returns:
         `Demonstrations`: observations (users, games, ticks, 12) and actions (users, games, ticks, 2), float32. The
         action of a tick is the hand position at its end, the observation that at its beginning.
-
-    Raises:
-        ValueError: `games` or `ticks` is below 1.
     """
-    check_counts(games=games, ticks=ticks)
     users = len(people)
     n = users * games
 

@@ -10,12 +10,13 @@ from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.files import load_tensors, save_tensors, sha256
+from airhockey_marl.experiment.validation import check_numbers
 from airhockey_marl.league.league import League, require_finite, require_weights
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.forces.conditions import OPTIMAL
 from guidance.forces.equations import lookahead_state
+from guidance.user_model.data import action_ahead
 from guidance.user_model.maml import parameters
-from guidance.user_model.rounds import action_ahead
 from guidance.user_model.training import adapt_to_user
 
 
@@ -39,13 +40,6 @@ def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
         raise ValueError(f"{path}: {error}") from error
     model.load_state_dict(tensors)
     return model.requires_grad_(False), facts
-
-
-def _require_fact(path: Path | str, facts: dict, name: str, least: float, most: float) -> None:
-    """Raise if a metadata entry is given and is not a number from `least` to `most`."""
-    value = facts.get(name, least)
-    if not isinstance(value, int | float) or isinstance(value, bool) or not least <= value <= most:
-        raise ValueError(f"{path}: {name} = {value} must be a number from {least:g} to {most:g}")
 
 
 @dataclass(frozen=True)
@@ -83,8 +77,8 @@ class Models:
         if "inner_lr" not in facts:
             raise ValueError(f"{meta} was not meta-learned: it has no inner_lr")
         for path, known in ((meta, facts), (user, user_facts)):
-            _require_fact(path, known, "inner_lr", 0.0, 1e3)
-            _require_fact(path, known, "ahead_s", 0.0, 1.0)
+            for name, most in (("inner_lr", 1e3), ("ahead_s", 1.0)):
+                check_numbers(0.0, at_most=most, **{f"{path}: {name}": known.get(name, 0.0)})
         ahead = {facts.get("ahead_s", 0.0), user_facts.get("ahead_s", 0.0)}
         if len(ahead) > 1:
             raise ValueError(f"{user} and {meta} predict different times ahead, {sorted(ahead)} s")

@@ -99,6 +99,12 @@ def spawn_rng_states(seed: int, users: Sequence[int], game: int, stream: int) ->
     return np.array([key.generate_state(1, np.uint64)[0] for key in keys], dtype=np.uint64)
 
 
+def user_and_table_states(seed: int, users: Sequence[int], game: int) -> tuple[np.ndarray, np.ndarray]:
+    """`spawn_rng_states` of the users of a game, and of their tables."""
+    user, table = (spawn_rng_states(seed, users, game, s) for s in (RandomStream.USER, RandomStream.TABLE))
+    return user, table
+
+
 CALIBRATION_GAME = 99  # the number of the unscored game in the seeds, beside the indices of the conditions
 
 

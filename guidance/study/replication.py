@@ -1,7 +1,11 @@
-"""Replicated studies in batches, in this process or on a Ray cluster; resumable."""
+"""Replicated studies in batches, in this process or on a Ray cluster; resumable.
 
-from collections.abc import Callable, Iterator, Sequence
+Sensitivity studies draw their people from populations whose assumed parameters are varied over a Latin hypercube.
+"""
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from math import log
 from pathlib import Path
 
 import numba
@@ -9,12 +13,13 @@ import numpy as np
 import pandas as pd
 import torch
 from omegaconf import DictConfig, OmegaConf
+from scipy.stats import qmc
 
 from airhockey_marl.experiment import parallel as cluster
-from airhockey_marl.experiment.registry import construct
-from guidance.simulated_users import Population, sample_people
-from guidance.simulated_users.population import TRAITS
-from guidance.study.sensitivity import latin_hypercube, scale_assumptions
+from airhockey_marl.experiment.validation import check_numbers
+from guidance.simulated_users import Population, load_population, sample_people
+from guidance.simulated_users.population import PARAMETER_TYPES, TRAITS, LogNormal, ScaledBeta
+from guidance.simulated_users.population.distributions import Proportion
 from guidance.study.setup import load_setup
 from guidance.study.study import Cohort, run_studies
 
@@ -22,6 +27,7 @@ from guidance.study.study import Cohort, run_studies
 REPLICATES, SHUFFLED_ADAPTATION, ONE_PLAYSTYLE = "replicates", "swapped", "alike"
 
 STATE = "manifest.json"  # written when a run begins
+UTILITY = "utility_weights."  # followed by one of `UtilityRow`
 
 
 @dataclass(frozen=True)
@@ -52,15 +58,11 @@ class Batch:
 
 
 class Studies:
-    """Plays the batches of a configuration.
-
-    Raises:
-        ValueError: names the key, its value and what is allowed.
-    """
+    """Plays the batches of a configuration."""
 
     def __init__(self, cfg: DictConfig) -> None:
         self.cfg = cfg
-        self.population: Population = construct(Population, cfg.users.population, "users.population")
+        self.population = load_population(cfg.users)
         self.setup = load_setup(cfg)
         self.factors = assumptions(cfg, self.population)
 
@@ -139,3 +141,43 @@ def assumptions(cfg: DictConfig, population: Population) -> pd.DataFrame:
     for _, row in factors.iterrows():
         scale_assumptions(population, row)  # raises for an invalid name or value
     return factors.set_index(np.arange(cfg.n, cfg.n + points))
+
+
+def latin_hypercube(parameters: Sequence[str], points: int, largest: float, seed: int) -> pd.DataFrame:
+    """Factors between 1 / largest and largest, evenly distributed on a logarithmic scale.
+
+    Returns:
+        (points, parameters): in each column every one of `points` equal slices of the range occurs once.
+    """
+    if repeated := {name for name in parameters if list(parameters).count(name) > 1}:
+        raise ValueError(f"sensitivity.parameters: {', '.join(sorted(repeated))} more than once")
+    unit = qmc.LatinHypercube(len(parameters), rng=seed).random(points)
+    return pd.DataFrame(largest ** (2 * unit - 1), columns=list(parameters))
+
+
+def scale_assumptions(population: Population, factors: Mapping[str, float]) -> Population:
+    """The population with each named parameter multiplied by its factor.
+
+    Of a log-normal parameter the median and the clip are scaled, of a Beta its scale; no proportion exceeds 1. A
+    utility, `utility_weights.<name>`, has no natural zero: ln(factor) is added to its constant.
+    """
+    parameters, changes, utilities = population.parameters(), {}, dict(population.intention.utility_weights)
+    for name, factor in factors.items():
+        check_numbers(above=0.0, **{f"factors[{name!r}]": factor})
+        row = name.removeprefix(UTILITY)
+        if name.startswith(UTILITY) and row in utilities:
+            constant, *terms = utilities[row]
+            utilities[row] = [constant + log(factor), *terms]
+        elif name in parameters and not isinstance(parameters[name], Mapping):
+            changes[name] = _scaled(parameters[name], factor, PARAMETER_TYPES[name])
+        else:
+            raise ValueError(f"sensitivity.parameters: {name} is not a parameter of people")
+    return population.with_parameters(**changes, utility_weights=utilities)
+
+
+def _scaled(value: object, factor: float, kind: type) -> object:
+    if isinstance(value, LogNormal):
+        return value._replace(median=factor * value.median, low=factor * value.low, high=factor * value.high)
+    if isinstance(value, ScaledBeta):
+        return value._replace(scale=min(1.0, factor * value.scale))
+    return min(1.0, factor * value) if kind is Proportion else factor * value

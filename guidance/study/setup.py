@@ -1,21 +1,34 @@
-"""What all games of a study have in common, from its configuration."""
+"""What all games of a study have in common, from its configuration, and the manifest that identifies a result."""
 
-from collections.abc import Mapping, Sequence
+import hashlib
+import json
+import sys
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.experiment.files import sha256
 from airhockey_marl.experiment.registry import construct
+from airhockey_marl.league.league import League
+from airhockey_marl.players.inference import greedy_player
 from airhockey_marl.players.players import Player
-from guidance.forces.conditions import Condition
+from guidance.forces.condition_specs import ConditionSpec, select_specs
+from guidance.forces.conditions import Condition, GuidanceSettings, build_condition
 from guidance.simulated_users import Advisors, SimulatedUsers, load_advisors
 from guidance.simulated_users.force_response import check_variant
 from guidance.study.metrics import EXTRA_METRICS
 from guidance.study.models import Models
 from guidance.study.protocol import Protocol
-from guidance.study.provenance import load_conditions, load_models, load_opponent
+
+FROZEN = Path(__file__).parent / "frozen.json"  # study_hash and seed of the study
+VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas", "pingouin")
+STUDY_KEYS = ("users", "guidance", "study", "participants", "opponent")  # these and the models define a study
 
 
 @dataclass(frozen=True)
@@ -73,3 +86,68 @@ def load_setup(cfg: DictConfig) -> StudySetup:
         rating_scales=OmegaConf.to_container(cfg.users.scales),
         extra_metrics=metrics,
     )
+
+
+def condition_specs(cfg: DictConfig, warn: Callable[[str], None] = lambda text: None) -> list[ConditionSpec]:
+    """The condition of the configuration; without one the paper's nine, and those that `beyond` names."""
+    return select_specs(cfg.get("condition"), cfg.get("beyond"), warn)
+
+
+def load_conditions(cfg: DictConfig) -> list[Condition]:
+    """The conditions of `condition_specs`, ready to be played."""
+    settings = GuidanceSettings.from_config(cfg.guidance)
+    specs = condition_specs(cfg, lambda text: print(f"note: {text}", file=sys.stderr))
+    return [build_condition(spec, settings) for spec in specs]
+
+
+def load_models(cfg: DictConfig, device: str = "cpu") -> Models:
+    """The models of the configuration, evaluated on `device`."""
+    files = cfg.models
+    return Models.load(files.league, files.get("generation", -1), files.user, files.meta, device)
+
+
+def load_opponent(cfg: DictConfig, device: str = "cpu") -> Player:
+    """The opponent of the configuration, which plays its mean action, evaluated on `device`."""
+    return greedy_player(League.load(cfg.models.opponents).player(cfg.opponent), device)
+
+
+def file_hashes(cfg: DictConfig, models: Models) -> dict[str, str]:
+    """SHA-256 of every file that a study depends on, by its purpose."""
+    files = {"opponents": cfg.models.opponents, "advisors": cfg.users.advisors}
+    return models.hashes | {name: sha256(path) for name, path in files.items() if path is not None}
+
+
+def study_hash(cfg: DictConfig, hashes: dict[str, str]) -> str:
+    """Hash of all that defines a study except its seed and conditions; runs with equal hashes may be merged."""
+    config = OmegaConf.to_container(cfg, resolve=True)
+    shared = {key: config[key] for key in STUDY_KEYS}
+    shared["users"] = {key: value for key, value in shared["users"].items() if key != "advisors"}  # hashed as a file
+    return hashlib.sha256(json.dumps([shared, hashes], sort_keys=True).encode()).hexdigest()
+
+
+def frozen_study() -> dict[str, Any]:
+    """`study_hash` and `seed` of the study that was fixed before any condition was compared."""
+    return json.loads(FROZEN.read_text(encoding="utf-8"))
+
+
+def manifest(cfg: DictConfig, hashes: dict[str, str], command_line: str, seconds: float) -> dict:
+    """The origin of a result; `frozen`: its configuration, models and seed are those of the frozen study."""
+    digest, fixed = study_hash(cfg, hashes), frozen_study()
+    return {
+        "command": command_line,
+        "seed": cfg.seed,
+        "study_hash": digest,
+        "frozen": (digest, cfg.seed) == (fixed["study_hash"], fixed["seed"]),
+        "models": hashes,
+        "conditions": [
+            {"name": s.name, "letter": s.letter, "label": s.label, "color": s.color, "against": list(s.against)}
+            for s in condition_specs(cfg)
+        ],
+        "metrics": [
+            {"name": name, "label": EXTRA_METRICS[name].label, "unit": EXTRA_METRICS[name].unit}
+            for name in cfg.get("metrics") or ()
+        ],
+        "versions": {name: version(name) for name in VERSIONS},
+        "seconds": round(seconds, 1),
+        "config": OmegaConf.to_container(cfg, resolve=True),
+    }

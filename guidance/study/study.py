@@ -18,12 +18,7 @@ from guidance.forces.conditions import ADAPTED, Condition, GuidanceOutput
 from guidance.simulated_users import SimulatedUsers
 from guidance.study.batched_guidance import BatchedGuidance
 from guidance.study.games import Forces, Games, no_force, play_games
-from guidance.study.protocol import (
-    CALIBRATION_GAME,
-    RandomStream,
-    counterbalanced_order,
-    spawn_rng_states,
-)
+from guidance.study.protocol import CALIBRATION_GAME, counterbalanced_order, user_and_table_states
 from guidance.study.setup import StudySetup
 
 
@@ -106,12 +101,8 @@ def _play(
     keep_demonstrations: bool = False,
 ) -> tuple[SimulatedUsers, Games]:
     """Play the games of these numbers with everybody, game by game, and return the participants too."""
-    user_states, table_states = (
-        np.concatenate(
-            [spawn_rng_states(c.seed, range(len(c.people)), number, purpose) for number in numbers for c in cohorts]
-        )
-        for purpose in (RandomStream.USER, RandomStream.TABLE)
-    )
+    streams = [user_and_table_states(c.seed, range(len(c.people)), number) for number in numbers for c in cohorts]
+    user_states, table_states = (np.concatenate(part) for part in zip(*streams, strict=True))
     people = np.concatenate([cohort.people for cohort in cohorts])
     participants = setup.simulated_users(np.tile(people, len(numbers)), user_states)
     games = play_games(

@@ -1,10 +1,16 @@
-"""Demonstrations of users: the training data D^U of the user prediction model (section 3.2.3)."""
+"""Demonstrations of users: the training data D^U of the user prediction model (section 3.2.3), and their rounds.
+
+Recorded play is observations (..., ticks, 12) and actions (..., ticks, 2).
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
 
 import torch
 from torch import Tensor
+
+from airhockey_marl.envs.physics import TableSpec
+from guidance.simulated_users.arm import HAND_REACH
 
 Samples = tuple[Tensor, Tensor]
 
@@ -16,7 +22,7 @@ class Demonstrations:
     All users have the same number of games, all games the same number of contiguous ticks.
 
     Attributes:
-        observation: (users, games, ticks, 12), floating point and finite.
+        observation: (users, games, ticks, 12), finite.
         action: (users, games, ticks, 2), of the same dtype and finite.
 
     Raises:
@@ -29,15 +35,9 @@ class Demonstrations:
     def __post_init__(self) -> None:
         for name, size in (("observation", 12), ("action", 2)):
             tensor = getattr(self, name)
-            if not isinstance(tensor, Tensor):
-                raise ValueError(f"{name}: {type(tensor).__name__}, must be a tensor")
             shape = tuple(tensor.shape)
             if tensor.ndim != 4 or tensor.shape[-1] != size or not tensor.numel():
                 raise ValueError(f"{name}: shape {shape}, must be (users, games, ticks, {size}) and not empty")
-            if not tensor.is_floating_point():
-                raise ValueError(f"{name}: dtype {tensor.dtype}, must be floating point")
-            if tensor.device != (other := getattr(self.action, "device", tensor.device)):
-                raise ValueError(f"{name}: on {tensor.device}, must be on {other} as action")
             if not tensor.isfinite().all():
                 raise ValueError(f"{name}: {int((~tensor.isfinite()).sum())} values are not finite, all must be")
         if self.action.shape[:3] != self.observation.shape[:3] or self.action.dtype != self.observation.dtype:
@@ -70,15 +70,8 @@ class Demonstrations:
 
         Yields:
             Two pairs of observation (users, block, 12) and action (users, block, 2).
-
-        Raises:
-            ValueError: fewer than two games per user, or ``block`` not from 1 to the ticks of a game.
         """
         users, games, ticks = self.action.shape[:3]
-        if games < 2:
-            raise ValueError(f"games: {games}, must be at least 2 a user, one to adapt to and one to validate on")
-        if not isinstance(block, int) or not 1 <= block <= ticks:
-            raise ValueError(f"block: {block} ticks, must be within 1 and {ticks}, the ticks of a game")
         per_game = ticks // block
 
         def cut(tensor: Tensor) -> Tensor:  # (users, games, ticks, .) -> (users, blocks, block, .)
@@ -94,3 +87,33 @@ class Demonstrations:
         user = torch.arange(users, device=action.device)
         for demo, valid in zip(order[:, :half].T, order[:, half : 2 * half].T, strict=True):  # each (users,)
             yield (observation[user, demo], action[user, demo]), (observation[user, valid], action[user, valid])
+
+
+def round_starts(observation: Tensor, table: TableSpec) -> Tensor:
+    """Boolean mask (...) of the observations (..., 12) that start a round: everything at rest at its start position."""
+    rest = [-table.length / 4, 0.0, 0.0, 0.0, table.length / 4, 0.0, 0.0, 0.0, 0.0]  # both paddles, and the puck's x
+    return (observation[..., :9] == torch.tensor(rest, dtype=observation.dtype)).all(dim=-1)
+
+
+def hand_speed(observation: Tensor, action: Tensor, table: TableSpec) -> Tensor:
+    """(..., ticks) m/s, the hand's mean speed in each tick; a round starts with the hand at its center."""
+    starts = round_starts(observation, table)
+    before = action.roll(1, dims=-2).masked_fill(starts[..., None], 0.0)
+    return (action - before).norm(dim=-1) * HAND_REACH / table.tick
+
+
+def action_ahead(observation: Tensor, action: Tensor, seconds: float, table: TableSpec) -> Tensor:
+    """The action (..., ticks, 2) `seconds` after each tick, or the last of its round if that is sooner.
+
+    Args:
+        observation: (..., ticks, 12), contiguous in time; marks where rounds start.
+        action: (..., ticks, 2).
+    """
+    ticks = observation.shape[-2]
+    starts = round_starts(observation, table)
+    tick = torch.arange(ticks)
+    last = torch.where(starts, tick - 1, ticks - 1).roll(-1, dims=-1)  # the last tick of a round, where one ends
+    last[..., -1] = ticks - 1
+    last = last.flip(-1).cummin(-1).values.flip(-1)
+    then = torch.minimum(tick + round(seconds / table.tick), last)
+    return action.gather(-2, then.unsqueeze(-1).expand_as(action))

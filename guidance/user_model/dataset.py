@@ -15,8 +15,7 @@ from tensordict import TensorDict
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.files import atomic_write, sha256
 from guidance.simulated_users.arm import HAND_REACH
-from guidance.user_model.data import Demonstrations
-from guidance.user_model.rounds import hand_speed, round_starts
+from guidance.user_model.data import Demonstrations, hand_speed, round_starts
 
 TENSORS, ROWS, PEOPLE, CARD = "demonstrations", "demonstrations.parquet", "people.csv", "card.json"
 ABOUT = "air hockey without guidance, played by SIMULATED people: no human being took part"
@@ -91,9 +90,7 @@ def load(folder: Path | str) -> Demonstrations:
     try:
         hashes = dict(json.loads((folder / CARD).read_text(encoding="utf-8"))["sha256"])
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise ValueError(
-            f"{folder} is not a finished run of guidance.commands.collect: it has no {CARD} with sha256"
-        ) from error
+        raise ValueError(f"{folder} is not a finished run of `airhockey collect`: no {CARD} with sha256") from error
     for name in sorted(name for name in hashes if name.startswith(f"{TENSORS}/")):
         if not (folder / name).is_file() or sha256(folder / name) != hashes[name]:
             raise ValueError(f"{folder / name} is missing or not the file that {CARD} lists")

@@ -16,8 +16,8 @@ from torch import Tensor, nn
 
 from airhockey_marl.envs.physics import TableSpec, action_range
 from guidance.forces.equations import lookahead_state
+from guidance.user_model.data import Demonstrations, action_ahead, round_starts
 from guidance.user_model.maml import forward, parameters
-from guidance.user_model.rounds import action_ahead, round_starts
 from guidance.user_model.training import adapt_to_user
 
 # Observations (ticks, 12) and a horizon in seconds -> mean and STD (ticks, 2) of the action at that horizon.
@@ -134,6 +134,23 @@ def prediction_metrics(
         **{f"within_{sigma}": (distance <= sigma**2).float().mean() for sigma in SIGMAS},
     }
     return {name: value.item() for name, value in metrics.items()}
+
+
+def unseen_scores(
+    user: nn.Module, meta: nn.Module, lr: float, data: Demonstrations, ahead: float, table: TableSpec
+) -> dict[str, float]:
+    """How people are predicted on whom the models were not trained: their last games, after UA with their first.
+
+    Returns:
+        `<name>_loss` and `<name>_rmse` of each of `predictors`, see `prediction_metrics`, averaged over people.
+    """
+    results: dict[str, list[float]] = {}
+    for observation, action in zip(data.observation, data.action, strict=True):
+        for name, predictor in predictors(user, meta, lr, observation[0], action[0], table, ahead).items():
+            metrics = prediction_metrics(predictor, observation[-1], action[-1], ahead, table)
+            for measure in ("loss", "rmse"):
+                results.setdefault(f"{name}_{measure}", []).append(metrics[measure])
+    return {name: float(np.mean(values)) for name, values in results.items()}
 
 
 def reliability(predictor: Predictor, observation: Tensor, action: Tensor, bins: int = 10) -> tuple[Tensor, Tensor]:

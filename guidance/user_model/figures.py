@@ -39,10 +39,8 @@ def draw_horizons(results: Mapping, labels: Mapping[str, str], path: Path) -> No
         label_axes(axes, title, "s ahead", y_label)
     panels[0].legend(frameon=False, fontsize=8)
     panels[1].axhline(0.0, color=GRAY, lw=0.8)
-    low = min(
-        row["gain"]["low"] for row in results["ahead"] if row["predictor"] not in ("persistence", "extrapolation")
-    )
-    panels[1].set_ylim(bottom=min(-0.1, 1.15 * low))
+    of_models = [row["gain"] for row in results["ahead"] if row["predictor"] not in ("persistence", "extrapolation")]
+    panels[1].set_ylim(bottom=min(-0.1, 1.15 * min(gain["low"] for gain in of_models)))
     save_png(figure, path)
 
 

@@ -1,4 +1,4 @@
-"""The loss of the user prediction model (Eq. 3)."""
+"""The loss of the user prediction model: Eq. 3."""
 
 from torch import Tensor
 
@@ -14,16 +14,7 @@ def prediction_loss(mean: Tensor, std: Tensor, action: Tensor) -> Tensor:
         mean: y_hat, the predicted mean, (..., 2), in units of action.
         std: sigma, the predicted standard deviation > 0, (..., 2).
         action: y, the action taken, (..., 2).
-
-    Returns:
-        The mean over all N samples, a scalar.
-
-    Raises:
-        ValueError: the shapes differ, which would broadcast unnoticed.
     """
-    for name, tensor in (("mean", mean), ("std", std)):
-        if tensor.shape != action.shape:
-            raise ValueError(f"{name}: shape {tuple(tensor.shape)}, must be {tuple(action.shape)} as action")
     variance = std.square().sum(dim=-1)  # ||sigma||^2, (...)
     squared_error = (action - mean).square().sum(dim=-1)  # (...)
     return (squared_error / (2 * variance) + variance.log() / 2).mean()

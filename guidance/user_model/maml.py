@@ -54,13 +54,6 @@ def forward(model: nn.Module, params: TensorDict, *inputs: Tensor) -> Any:
 
     Not ``with params.to_module(model)``, which leaves its parameters in the model when the call raises.
 
-    Args:
-        model: any module; not changed.
-        params: parameters named like those of ``model``.
-        inputs: what the model takes.
-
-    Returns:
-        What the model returns, a tuple too.
     """
     return functional_call(model, params.flatten_keys(".").to_dict(), inputs)
 
@@ -75,18 +68,7 @@ def forward_stacked(model: nn.Module, params: TensorDict, *inputs: Tensor) -> An
 
     Returns:
         What the model returns, with the leading dimension users: (users, n, ...).
-
-    Raises:
-        ValueError: ``params`` and ``inputs`` do not have the same number of users.
     """
-    for tensor in inputs:
-        if not isinstance(tensor, Tensor):
-            raise ValueError(f"inputs: {type(tensor).__name__}, must be tensors")
-        if params.ndim != 1 or tensor.shape[:1] != params.shape:
-            raise ValueError(
-                f"inputs: shape {tuple(tensor.shape)}, must begin with the batch size of params, "
-                f"here {tuple(params.shape)}, in general (users,)"
-            )
     return torch.vmap(partial(forward, model))(params, *inputs)
 
 
@@ -107,14 +89,11 @@ def adapt(params: TensorDict, loss: Loss, lr: float, steps: int = 1, first_order
         theta_adapt, shaped like ``params``.
 
     Raises:
-        ValueError: ``lr`` or ``steps`` out of range, or a leaf of ``params`` is not floating point.
+        ValueError: ``lr`` or ``steps`` out of range.
     """
     _require_rate(lr)
     if not isinstance(steps, int) or steps < 1:
         raise ValueError(f"steps: {steps}, must be a whole number of at least 1")
-    for name, leaf in params.items(include_nested=True, leaves_only=True):
-        if not leaf.is_floating_point():
-            raise ValueError(f"params: {name} has dtype {leaf.dtype}, must be floating point")
     for _ in range(steps):
         params = _descend(params, grad(loss)(params), lr, first_order)
     return params
@@ -129,15 +108,10 @@ def adapt_stacked(
         params: theta.
         loss: L(theta, D) for one user.
         demo: D_demo of all users: a tensor, tuple or TensorDict whose tensors are (users, ...).
-        lr: see :func:`adapt`.
-        steps: see :func:`adapt`.
-        first_order: see :func:`adapt`.
+        lr, steps, first_order: see :func:`adapt`.
 
     Returns:
         The adapted parameters stacked, batch size (users,).
-
-    Raises:
-        ValueError: as :func:`adapt`, or the tensors of ``demo`` differ in the number of users.
     """
 
     def adapt_one(data: Any) -> TensorDict:
@@ -156,15 +130,7 @@ def meta_loss(
         loss: L(theta, D) for one user.
         demo: D_demo of all users, tensors (users, ...).
         valid: D_valid of the same users in the same order, tensors (users, ...).
-        lr: see :func:`adapt`.
-        steps: see :func:`adapt`.
-        first_order: see :func:`adapt`.
-
-    Returns:
-        A scalar.
-
-    Raises:
-        ValueError: as :func:`adapt`, or ``demo`` and ``valid`` differ in the number of users.
+        lr, steps, first_order: see :func:`adapt`.
     """
     return torch.vmap(loss)(adapt_stacked(params, loss, demo, lr, steps, first_order), valid).sum()
 
@@ -186,9 +152,6 @@ class MAML:
     Attributes:
         model: the module; never changed by adaptation.
         params: the parameters this learner uses, at first those of the model.
-
-    Raises:
-        ValueError: ``lr`` is not positive and finite.
     """
 
     def __init__(self, model: nn.Module, lr: float, first_order: bool = False):
@@ -211,8 +174,6 @@ class MAML:
             raise ValueError(f"loss: {got}, must be a scalar that requires grad")
         names = list(self.params.keys(include_nested=True, leaves_only=True))
         leaves = [self.params[name] for name in names]
-        if loss.device != leaves[0].device:
-            raise ValueError(f"loss: on {loss.device}, must be on {leaves[0].device} as the model")
         gradients = torch.autograd.grad(loss, leaves, create_graph=not self.first_order, materialize_grads=True)
         gradient = TensorDict(dict(zip(names, gradients, strict=True)))
         self.params = _descend(self.params, gradient, self.lr, self.first_order)

@@ -1,4 +1,4 @@
-"""Training the user prediction model: its loss (Eq. 3), with and without meta-learning, and user adaptation (UA).
+"""Training the user prediction model with and without meta-learning, and user adaptation (UA).
 
 The model is any module that maps a game state (..., 12) to the mean (..., 2) and the standard deviation (..., 2) of the
 user's next action. Both trainers change it in place. They are generators: each ``next`` trains one epoch and yields its
@@ -19,7 +19,6 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.func import grad_and_value
 
-from airhockey_marl.experiment.validation import check_counts, check_numbers
 from guidance.user_model.data import Demonstrations, Samples
 from guidance.user_model.loss import prediction_loss
 from guidance.user_model.maml import adapt_stacked, forward, meta_loss, parameters
@@ -50,11 +49,8 @@ def train_supervised(
         After each epoch ``epoch`` (from 1) and ``loss``, the mean over its ticks, measured during the epoch.
 
     Raises:
-        ValueError: ``epochs``, ``batch_size`` or ``lr`` is out of range.
         FloatingPointError: the loss or its gradient is no longer finite.
     """
-    _require_schedule(epochs, done, lr)
-    check_counts(batch_size=batch_size)
     optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
     for epoch in range(done + 1, epochs + 1):
         total, ticks = 0.0, 0
@@ -110,14 +106,8 @@ def train_maml(
         and ``loss_before``, the same without adaptation, L(theta, D_valid); both measured during the epoch.
 
     Raises:
-        ValueError: a number is out of range, or the data have fewer than two games per user.
         FloatingPointError: the loss or its gradient is no longer finite.
     """
-    _require_schedule(epochs, done, lr)
-    check_counts(steps=steps)
-    check_numbers(above=0.0, inner_lr=inner_lr)
-    if not max_norm > 0:
-        raise ValueError(f"max_norm: {max_norm}, must be positive, inf for no clipping")
     optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
     params, objective, users = parameters(model), partial(_data_loss, model), len(data.action)
 
@@ -178,9 +168,3 @@ def _step(optimizer: torch.optim.Optimizer, loss: Tensor, epoch: int, max_norm: 
     if not (loss.isfinite() and norm.isfinite()):  # before the step, which keeps the last finite model
         raise FloatingPointError(f"loss: {loss.item()}, gradient {norm.item()} in epoch {epoch}, must be finite")
     optimizer.step()
-
-
-def _require_schedule(epochs: int, done: int, lr: float) -> None:
-    check_counts(epochs=epochs)
-    check_counts(0, done=done)
-    check_numbers(above=0.0, lr=lr)

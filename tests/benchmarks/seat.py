@@ -12,16 +12,16 @@ from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
 from guidance.display.window import Window
-from guidance.haptics.clock import WallClock
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
+from guidance.haptics.screen import WallClock
 from guidance.haptics.seat import RealTimePlayer
 from guidance.haptics.servo import InProcessServo
 from guidance.sessions.free_play import FreePlay
 from guidance.simulated_users import SimulatedUsers, sample_people
 from guidance.study.models import Models
 from guidance.study.protocol import spawn_rng_states
-from guidance.study.provenance import load_conditions
+from guidance.study.setup import load_conditions
 
 WARM_UP = 100  # first ticks and frames, which compile and are not counted
 

@@ -6,7 +6,7 @@ import time
 from dataclasses import asdict
 
 from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.servo_loop import SERVO_HZ
+from guidance.haptics.servo import SERVO_HZ
 from guidance.haptics.servo_process import ServoProcess
 
 TICK = 0.02  # s between two forces

@@ -37,9 +37,9 @@ from guidance.forces.equations import similarity_weight, spring_force, uncertain
 from guidance.haptics.safety import Safety, SafetyLimits
 from guidance.sessions.bids import Records
 from guidance.sessions.participant import check_label
-from guidance.statistics.runs import merge
+from guidance.sessions.tick_log import COLUMNS, read_ticks
+from guidance.statistics.groups import merge
 from guidance.study.models import load_user_model
-from guidance.study.tick_log import COLUMNS, read_ticks
 
 ACCEPTED, REFUSED, FAULT = "accepted", "refused", "fault"
 ODD = [0.0, -0.0, 1e-320, 1e308, -1e308, math.inf, -math.inf, math.nan, 3.0, 1e-9]

@@ -24,8 +24,8 @@ from airhockey_marl.experiment.files import load_tensors, save_tensors
 from airhockey_marl.league.league import League
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.statistics.design import CONDITIONS, METRICS
+from guidance.statistics.groups import merge
 from guidance.statistics.report import write_report
-from guidance.statistics.runs import merge
 from guidance.study.models import Models, load_user_model
 from tests import ROOT
 from tests.robustness.fuzz_inputs import ACCEPTED, KINDS, REFUSED, Trap, fuzz
@@ -86,10 +86,10 @@ def test_the_fault_of_an_invalid_model_is_named(tmp_path, facts, changes, messag
 @pytest.mark.parametrize(
     ("facts", "message"),
     [
-        ({"inner_lr": float("nan")}, "inner_lr = nan must be a number from 0 to 1000"),
-        ({"inner_lr": "0.1"}, "inner_lr = 0.1 must be a number"),
-        ({"ahead_s": -1.0}, "ahead_s = -1.0 must be a number from 0 to 1"),
-        ({"ahead_s": [0]}, r"ahead_s = \[0\] must be a number"),
+        ({"inner_lr": float("nan")}, "inner_lr = nan must be a finite number of at least 0 and at most 1000"),
+        ({"inner_lr": "0.1"}, "inner_lr = '0.1' must be a finite number"),
+        ({"ahead_s": -1.0}, "ahead_s = -1.0 must be a finite number of at least 0 and at most 1"),
+        ({"ahead_s": [0]}, r"ahead_s = \[0\] must be a finite number"),
     ],
 )
 def test_the_metadata_of_a_model_is_checked(tmp_path, facts, message):

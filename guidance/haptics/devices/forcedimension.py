@@ -15,6 +15,7 @@ from io import StringIO
 from math import hypot, isfinite
 from types import ModuleType
 
+from airhockey_marl.experiment.validation import check_numbers
 from guidance.haptics.devices import DeviceError, Pair
 
 VELOCITY_MS = 10  # ms, window of the SDK's velocity estimate, whose delay is half of it
@@ -75,23 +76,13 @@ class ForceDimension:
         plane_force: float = 4.0,
         max_force: float = 6.0,
     ) -> None:
-        for name, value in (
-            ("plane_stiffness", plane_stiffness),
-            ("plane_damping", plane_damping),
-            ("plane_force", plane_force),
-            ("max_force", max_force),
-        ):
-            if not (isfinite(value) and value >= 0) or (name == "max_force" and value == 0):
-                raise ValueError(f"{name} = {value} must be a number {'above' if name == 'most' else 'of at least'} 0")
+        check_numbers(0.0, plane_stiffness=plane_stiffness, plane_damping=plane_damping, plane_force=plane_force)
+        check_numbers(above=0.0, max_force=max_force)
         if len(center) != 3 or not all(map(isfinite, center)):
             raise ValueError(f"center = {center} must be three numbers, in m")
         self._center = tuple(map(float, center))
-        self._stiffness, self._damping, self._plane_force, self._max_force = (
-            plane_stiffness,
-            plane_damping,
-            plane_force,
-            max_force,
-        )
+        self._stiffness, self._damping = plane_stiffness, plane_damping
+        self._plane_force, self._max_force = plane_force, max_force
         self._position, self._velocity = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
         self._difference_velocity, self._position_time = [0.0, 0.0, 0.0], 0.0
         self._grip, self._is_held = 0.0, False
@@ -146,11 +137,6 @@ class ForceDimension:
 
     @property
     def position(self) -> Pair:
-        """(2,) m, of the hand relative to the center.
-
-        Raises:
-            DeviceError: it cannot be read.
-        """
         last, last_time = tuple(self._position), self._position_time
         self._do(self._dhd.getPosition, self._position)
         self._position_time = time.perf_counter()
@@ -160,11 +146,7 @@ class ForceDimension:
 
     @property
     def velocity(self) -> Pair:
-        """(2,) m/s, of the hand when its position was last read.
-
-        Raises:
-            DeviceError: it cannot be read.
-        """
+        """(2,) m/s, of the hand when its position was last read."""
         dhd = self._dhd
         if dhd.getLinearVelocity(self._velocity, self._id) < 0:
             # after a pause longer than its window, the SDK has too few positions: use the last two
@@ -200,11 +182,7 @@ class ForceDimension:
         self._force_time = time.perf_counter()
 
     def relax(self) -> None:
-        """Apply no force at all, not even that of the plane, and re-enable forces that the watchdog has dropped.
-
-        Raises:
-            DeviceError: it cannot be set.
-        """
+        """Apply no force at all, not even that of the plane, and re-enable forces that the watchdog has dropped."""
         self._grip = 0.0
         self._do(self._dhd.setForce, (0.0, 0.0, 0.0))
         if self.watchdog and time.perf_counter() - self._force_time > WATCHDOG_UNITS * WATCHDOG_UNIT:
@@ -212,11 +190,7 @@ class ForceDimension:
         self._force_time = time.perf_counter()
 
     def close(self) -> None:
-        """Drop the force, brake and release the device; each step runs even if the one before fails.
-
-        Raises:
-            DeviceError: a step failed.
-        """
+        """Drop the force, brake and release the device; each step runs even if the one before fails."""
         if not self._open:
             return
         self._open, dhd, failed = False, self._dhd, []

@@ -1,4 +1,4 @@
-"""A virtual hand at a pointer, which a force deflects as it deflects a simulated person's arm."""
+"""A virtual hand at a pointer, which a force deflects as it deflects a simulated person's arm; a mouse has one."""
 
 from math import ceil, hypot
 
@@ -34,14 +34,9 @@ class PointerHand:
     Args:
         person: whose arm it is, a record of dtype `USER_PARAMETERS`; None for the median arm.
         max_speed: m/s at which the hand follows; a pointer can jump, a hand cannot.
-
-    Raises:
-        ValueError: `max_speed` is not above 0.
     """
 
     def __init__(self, person: np.void | None = None, max_speed: float = MAX_SPEED) -> None:
-        if not max_speed > 0:
-            raise ValueError(f"max_speed = {max_speed} must be a number above 0, in m/s")
         self.max_speed, self._person = max_speed, median_person() if person is None else person
         self._stiffness = float(self._person["stiffness"])
         self._arm = np.zeros(1, ARM_STATE)[0]
@@ -50,7 +45,6 @@ class PointerHand:
 
     @property
     def position(self) -> Pair:
-        """(2,) m, of the hand relative to the center."""
         return self._position
 
     @property
@@ -59,22 +53,13 @@ class PointerHand:
         return self._velocity
 
     def set_force(self, force: Pair) -> None:
-        """Apply this force, (2,) N, to the hand until another is set."""
         self._force = (float(force[0]), float(force[1]))
 
     def relax(self) -> None:
-        """Apply no force."""
         self._force = (0.0, 0.0)
 
     def point(self, x: float, y: float) -> None:
-        """Set the pointer, in m; outside the reach, it is clipped to the edge.
-
-        Raises:
-            ValueError: a coordinate is not a number.
-        """
-        for name, value in (("x", x), ("y", y)):
-            if value != value:
-                raise ValueError(f"{name} = {value} must be a number, in m")
+        """Set the pointer, in m; outside the reach, it is clipped to the edge."""
         self._pointer = (clip_reach(float(x)), clip_reach(float(y)))
 
     def move(self, seconds: float) -> None:
@@ -92,3 +77,16 @@ class PointerHand:
         x = clip_reach(self._base[0] + float(self._arm["hand_x"]))
         y = clip_reach(self._base[1] + float(self._arm["hand_y"]))
         self._position, self._velocity = (x, y), ((x - old_x) / seconds, (y - old_y) / seconds)
+
+
+class Mouse(PointerHand):
+    """A `VirtualDevice` whose hand is at the mouse's pointer, see `PointerHand`; nothing pushes the real hand."""
+
+    is_held = True  # `HapticHand.push` reports whether the window has the focus
+
+    def advance(self, seconds: float, state: np.ndarray) -> None:
+        """Simulate the passing of time; the game's state has no effect."""
+        self.move(seconds)
+
+    def close(self) -> None:
+        self.relax()

@@ -259,11 +259,7 @@ class Population:
 
     @classmethod
     def default(cls, **changes: Any) -> "Population":
-        """The population of `conf/users/default.yaml` with some parameters changed.
-
-        Raises:
-            ValueError: a change is out of range.
-        """
+        """The population of `conf/users/default.yaml` with some parameters changed."""
         return _default().with_parameters(**changes)
 
     def parameters(self) -> dict[str, Any]:
@@ -272,11 +268,7 @@ class Population:
         return {item.name: getattr(section, item.name) for section in sections for item in fields(section)}
 
     def with_parameters(self, **changes: Any) -> "Population":
-        """A copy with some parameters changed.
-
-        Raises:
-            ValueError: a parameter is unknown or its value out of range.
-        """
+        """A copy with some parameters changed."""
         for name in changes:
             if name not in PARAMETER_TYPES:
                 raise ValueError(f"users.population: {name} must be one of {', '.join(PARAMETER_TYPES)}")

@@ -121,9 +121,8 @@ def onset(speed: np.ndarray, start: np.ndarray) -> np.ndarray:
     moving = (speed > ONSET_SPEED) & (ticks >= start[..., None])
     first = moving.argmax(-1)
     now, before = (np.take_along_axis(speed, at[..., None], -1)[..., 0] for at in (first, np.maximum(first - 1, 0)))
-    within = (ONSET_SPEED - before) / np.where(
-        now > before, now - before, 1.0
-    )  # the end of a tick before, or this one's
+    # between the end of the tick before and this one's
+    within = (ONSET_SPEED - before) / np.where(now > before, now - before, 1.0)
     return np.where(moving.any(-1), (first - start + np.clip(within, 0.0, 1.0)) * TABLE.tick, np.nan)
 
 

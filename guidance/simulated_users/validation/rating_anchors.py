@@ -15,7 +15,6 @@ import numpy as np
 
 from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
 from airhockey_marl.envs.world import World
-from airhockey_marl.experiment.validation import check_numbers
 from guidance.simulated_users.advisors import Advisors
 from guidance.simulated_users.population import personal_streams
 from guidance.simulated_users.ratings import RATINGS, SIGNALS
@@ -65,13 +64,7 @@ def play_anchor(
 
     Returns:
         The people after the game, with their `signals` and `ratings`.
-
-    Raises:
-        ValueError: the anchor is unknown, or `seconds` not above 0.
     """
-    if anchor not in (*ANCHORS, "none"):
-        raise ValueError(f"anchor = {anchor!r} must be one of {', '.join(ANCHORS)}, none")
-    check_numbers(above=0.0, seconds=seconds)
     table = table or TableSpec()
     rng, n = np.random.default_rng([seed, (*ANCHORS, "none").index(anchor)]), len(people)
     hold, angle = max(1, round(RANDOM_HOLD_TIME / table.tick)), np.zeros(n)

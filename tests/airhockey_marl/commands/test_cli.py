@@ -16,7 +16,7 @@ from airhockey_marl.experiment.command import CONF, run
 from airhockey_marl.experiment.files import load_tensors, save_tensors
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.study.models import Models
-from guidance.study.provenance import file_hashes, manifest
+from guidance.study.setup import file_hashes, manifest
 from tests.processes import Command, start
 
 COMMANDS = find_commands()

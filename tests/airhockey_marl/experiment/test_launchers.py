@@ -9,7 +9,7 @@ import pytest
 
 from airhockey_marl.experiment import command as cli
 from airhockey_marl.experiment.run_folder import runs_below
-from guidance.statistics.runs import gather
+from guidance.statistics.groups import gather
 from tests.processes import start
 
 SEEDS = "seed=1,-1"  # the second is refused

@@ -16,9 +16,9 @@ import pytest
 from airhockey_marl.experiment.command import run as start_command
 from guidance.commands import evaluate, lab, report
 from guidance.display.window import MIN_WIDTH, Window
-from guidance.haptics.clock import SimulatedClock
+from guidance.haptics.screen import SimulatedClock
+from guidance.sessions.tick_log import read_ticks
 from guidance.simulated_users.ratings import RATINGS
-from guidance.study.tick_log import read_ticks
 from tests.processes import Command, start
 
 SMOKE = ["device=simulated", "window=false", "+preset=smoke"]
@@ -219,7 +219,7 @@ class Reader(Window):
 @pytest.fixture
 def at_a_window(monkeypatch, tmp_path):
     """P1's session at a window, as the command holds it, but for the clock."""
-    monkeypatch.setattr("guidance.haptics.clock.WallClock", SimulatedClock)
+    monkeypatch.setattr("guidance.haptics.screen.WallClock", SimulatedClock)
     monkeypatch.setattr("guidance.display.window.Window", Reader)
 
     def session(**habits) -> tuple[Reader, str]:

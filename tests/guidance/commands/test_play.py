@@ -18,20 +18,19 @@ from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.command import run as start_command
 from airhockey_marl.league.league import League
 from guidance.commands import watch
-from guidance.haptics.clock import SimulatedClock
-from guidance.haptics.devices.mouse import Mouse
+from guidance.haptics.devices.pointer import Mouse
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.screen import NullDisplay
+from guidance.haptics.screen import NullDisplay, SimulatedClock
 from guidance.haptics.seat import RealTimePlayer
 from guidance.haptics.servo import InProcessServo
 from guidance.sessions.free_play import MIN_DEMONSTRATION_TICKS, FreePlay
 from guidance.sessions.game import load_games
+from guidance.sessions.tick_log import COLUMNS, demonstration, read_ticks
 from guidance.simulated_users import SimulatedUsers, sample_people
 from guidance.study.models import Models
 from guidance.study.protocol import spawn_rng_states
-from guidance.study.provenance import load_conditions
-from guidance.study.tick_log import COLUMNS, demonstration, read_ticks
+from guidance.study.setup import load_conditions
 from tests.processes import Command, start
 
 TABLE = TableSpec()

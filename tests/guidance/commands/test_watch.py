@@ -30,13 +30,13 @@ from guidance.forces.conditions import (
     Thresholds,
 )
 from guidance.forces.equations import uncertainty_weight
+from guidance.sessions.tick_log import ACTION, STATE, record_game
 from guidance.simulated_users import NO_ADVISORS, SimulatedUsers, sample_people
 from guidance.simulated_users.arm import HAND_REACH
 from guidance.study.games import play_games
 from guidance.study.models import Models
 from guidance.study.protocol import Protocol, spawn_rng_states
 from guidance.study.setup import StudySetup
-from guidance.study.tick_log import ACTION, STATE
 
 TABLE, SPRING = TableSpec(), Spring(50.0, 3.0, HAND_REACH)
 NHG = Condition(ConditionSpec("nhg", "a", "NHG"), NoGuidance())
@@ -71,7 +71,7 @@ def play(models: Models, condition: Condition, seconds: float = 1.0, against: Pl
     users = SimulatedUsers(sample_people(1, 3), spawn_rng_states(3, [0], 0, 0), TABLE)
     protocol = Protocol(0, 1, 0, 0, 60)
     setup = StudySetup([condition], models, against, 0.1, protocol, "comply_or_resist", NO_ADVISORS, {}, TABLE)
-    return watch.play(users, setup, None, spawn_rng_states(3, [0], 0, 1), seconds)
+    return record_game(users, setup, None, spawn_rng_states(3, [0], 0, 1), seconds)
 
 
 def still(**values: float) -> pd.DataFrame:

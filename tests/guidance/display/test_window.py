@@ -17,8 +17,7 @@ from guidance.display.pages import Items, Page
 from guidance.display.scene import ARROW, FORCE, PAPER, TARGETS
 from guidance.display.window import BAR, MIN_WIDTH, Window
 from guidance.forces.conditions import Prediction
-from guidance.haptics.clock import SimulatedClock
-from guidance.haptics.screen import DisplayState, Quit
+from guidance.haptics.screen import DisplayState, Quit, SimulatedClock
 
 STATE = np.array([-0.5, 0.1, 0, 0, 0.6, -0.2, 0, 0, 0.2, 0.3, 0, 0])
 ITEMS = {name: f"How {name}?" for name in ("helpful", "natural", "controllable", "comfortable")}

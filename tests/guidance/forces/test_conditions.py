@@ -33,7 +33,7 @@ from guidance.forces.conditions import (
     build_condition,
 )
 from guidance.forces.equations import similarity_weight, uncertainty_weight
-from guidance.study.provenance import load_conditions
+from guidance.study.setup import load_conditions
 
 SPRING, UT = Spring(stiffness=50.0, limit=3.0, reach=0.075), Thresholds(0.1, 0.3)
 STATE = torch.zeros(3, 12)

@@ -223,7 +223,7 @@ def test_a_missing_sdk_says_what_to_install(monkeypatch):
     ],
 )
 def test_bad_numbers_are_refused_by_name_before_anything_is_opened(name, value):
-    with pytest.raises(ValueError, match=rf"^{name} = {value} must be a number"):
+    with pytest.raises(ValueError, match=rf"^{name} = {value} must be a finite number"):
         ForceDimension(**{name: value})
     with pytest.raises(ValueError, match=r"^center = \(0, 0\) must be three numbers"):
         ForceDimension(center=(0, 0))

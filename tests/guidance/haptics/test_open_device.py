@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 import pytest
 
-from guidance.haptics.devices.mouse import Mouse
+from guidance.haptics.devices.pointer import Mouse
 from guidance.haptics.open_device import DEVICES, OpenDevice, device_session
 from guidance.haptics.safety import SafetyLimits
 from guidance.haptics.servo import InProcessServo
@@ -14,12 +14,12 @@ from guidance.haptics.servo import InProcessServo
     ("settings", "message"),
     [
         ({"kind": "omega"}, "device.kind = 'omega' must be one of mouse, gamepad, forcedimension, simulated"),
-        ({"kind": "mouse", "max_speed": 0}, "device.max_speed = 0 must be a number above 0.0"),
+        ({"kind": "mouse", "max_speed": 0}, "device.max_speed = 0 must be a finite number above 0"),
         ({"kind": "mouse", "speed": 1.0}, "device.speed: no such setting, must be one of max_speed"),
         ({"kind": "gamepad", "index": -1}, "device.index = -1 must be a whole number of at least 0"),
         (
             {"kind": "gamepad", "dead_zone": 1.0},
-            "device.dead_zone = 1.0 must be a number of at least 0.0 and at most 0.9",
+            "device.dead_zone = 1.0 must be a finite number of at least 0 and at most 0.9",
         ),
     ],
 )

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from guidance.haptics.clock import SimulatedClock
-from guidance.haptics.devices.mouse import Mouse
+from guidance.haptics.devices.pointer import Mouse
 from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.screen import NullDisplay, Quit
+from guidance.haptics.screen import NullDisplay, Quit, SimulatedClock
 from guidance.haptics.seat import RealTimePlayer
 from guidance.haptics.servo import InProcessServo
 from guidance.simulated_users.arm import HAND_REACH

@@ -14,11 +14,10 @@ import numpy as np
 import pytest
 
 from guidance.haptics.devices import DeviceError
-from guidance.haptics.devices.mouse import Mouse
+from guidance.haptics.devices.pointer import Mouse
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
-from guidance.haptics.servo import InProcessServo
-from guidance.haptics.servo_loop import PERIOD, SERVO_HZ, TICK
+from guidance.haptics.servo import PERIOD, SERVO_HZ, TICK, InProcessServo
 from guidance.haptics.servo_process import ServoProcess
 from guidance.haptics.shared_record import SharedRecord
 from guidance.simulated_users import SimulatedUsers, personal_streams, sample_people
@@ -205,11 +204,6 @@ def test_closing_in_process_closes_the_device_once():
     assert servo.fault == "the servo is closed" and not servo.release()
     with pytest.raises(ValueError, match=r"^the servo is closed$"):
         servo.advance(1, SEEN)
-
-
-def test_a_force_of_three_numbers_is_refused():
-    with pytest.raises(ValueError, match=r"^force of 3 numbers must be of 2"):
-        in_process()[1].push((1.0, 2.0, 3.0))
 
 
 def test_the_servo_in_process_is_deterministic():

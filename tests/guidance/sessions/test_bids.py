@@ -25,7 +25,7 @@ from guidance.sessions.game import RESULTS, UNSCORED
 from guidance.sessions.participant import NOT_LABELS
 from guidance.simulated_users.ratings import RATINGS
 from guidance.statistics.design import CONDITIONS
-from guidance.statistics.runs import gather, merge
+from guidance.statistics.groups import gather, merge
 from guidance.study.metrics import metric_values as metrics_of
 from guidance.study.metrics import new_counters
 
@@ -63,7 +63,7 @@ def play(records: Records, label: str, names=NAMES, tell=lambda what: None) -> N
         if name not in person.games:
             with person.begin_game(name, position, COLUMNS) as recording:
                 for round_ in range(3):
-                    recording.append(ticks_of(label, name, round_))
+                    recording.append(ticks_of(label, name, round_).to_dict("records"))
                 recording.finish(results_of(label, name))
             tell(f"{label} {name}")
         if name != UNSCORED and person.games[name].ratings is None:
@@ -179,12 +179,12 @@ NUMBERS = st.one_of(st.none(), st.floats(), st.floats(width=32).map(np.float32),
 
 
 @settings(max_examples=60)
-@given(st.lists(st.fixed_dictionaries({}, optional=dict.fromkeys(COLUMNS, NUMBERS)), max_size=20), st.booleans())
-def test_ticks_come_back_with_the_same_bits(rows, as_table):
+@given(st.lists(st.fixed_dictionaries({}, optional=dict.fromkeys(COLUMNS, NUMBERS)), max_size=20))
+def test_ticks_come_back_with_the_same_bits(rows):
     with tempfile.TemporaryDirectory() as folder, Records(folder, FACTS) as records:
         _, recording = begun(records)
         for part in (rows[:3], rows[3:]):
-            recording.append(pd.DataFrame(part, columns=list(COLUMNS), dtype=object) if as_table else part)
+            recording.append(part)
         ticks = recording.finish(results_of("P01", UNSCORED)).ticks()
         assert list(ticks) == list(COLUMNS) and len(ticks) == len(rows)
         for column in COLUMNS:
@@ -197,12 +197,11 @@ def test_ticks_come_back_with_the_same_bits(rows, as_table):
 @pytest.mark.parametrize(
     ("rows", "message"),
     [
-        ([{"hand_y": 1.0}], "columns hand_y; allowed are t, hand_x"),
         ([{"t": "=1+1"}], r"ticks\.t = '=1\+1' must be a number"),
         ([{"t": 0.0}, {"t": 1j}], r"ticks\.t = 1j must be a number"),
     ],
 )
-def test_ticks_are_numbers_in_known_columns(records, rows, message):
+def test_ticks_are_numbers(records, rows, message):
     _, recording = begun(records)
     recording.append([{"t": 0.5}])
     with pytest.raises(ValueError, match=message):
@@ -364,10 +363,6 @@ def test_consent_comes_first_and_is_to_one_text(records):
         ("oahg", 4, "has played oahg already, at position 1"),
         ("uphg", 1, "has played oahg already, at position 1"),
         ("o_ahg", 2, "has played oahg already"),  # the same file name
-        ("uphg", 0, "position = 0 of uphg must be"),
-        (UNSCORED, 3, "position = 3 of unscored must be"),
-        ("uphg", -1, "position = -1 of uphg must be"),
-        ("uphg", 1.5, r"position = 1\.5 of uphg must be"),
         ("../uphg", 2, "condition = '../uphg' must be small letters"),
     ],
 )
@@ -384,59 +379,24 @@ def test_a_game_is_played_once(records, name, position, message):
         person.begin_game(name, position, COLUMNS)
 
 
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        ({}, "must name at least one"),
-        ({"Position": COLUMNS["t"]}, "'Position' must be small letters"),
-        ({"t": {"Description": "time"}}, r"columns\.t lacks Units"),
-    ],
-)
-def test_every_column_is_described(records, columns, message):
-    person = records.participant("P01")
-    person.give_consent("yes")
-    with pytest.raises(ValueError, match=message):
-        person.begin_game(UNSCORED, 0, columns)
-    assert not any((records.folder / "sub-P01" / "beh").iterdir())
-
-
 def test_results_are_what_trials_have(records):
     person, recording = begun(records)
     good = results_of("P01", UNSCORED)
-    for results, message in (
-        ({key: value for key, value in good.items() if key != "rounds"}, "rounds must be there or not"),
-        (good | {"score": 1.0}, "score must be there or not"),
-        (good | {"win_rate": np.inf}, r"results\.win_rate = inf must be a finite number"),
-        (good | {"win_rate": "1"}, r"results\.win_rate = '1' must be"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            recording.finish(results)
-    game = recording.finish(good | {"win_rate": np.float32(0.1), "rounds": np.int64(9)})
-    assert game.results["win_rate"] == float(np.float32(0.1)) and game.results["rounds"] == 9
+    game = recording.finish(good | {"win_rate": 0.1, "rounds": 9})
+    assert game.results["win_rate"] == 0.1 and game.results["rounds"] == 9
     assert person.games == {UNSCORED: game} and game.facts == {"device": "none"}
     for late in (lambda: recording.finish(good), lambda: recording.append([{"t": 1.0}])):
         with pytest.raises(ValueError, match="the game unscored is not running"):
             late()
 
 
-def test_ratings_are_seven_points_of_four_items(records):
+def test_a_game_is_rated_once(records):
     play(records, "P01", NAMES[:1])
     person, recording = begun(records, name="oahg", position=1)
     good = dict.fromkeys(RATINGS, 4)
     with pytest.raises(ValueError, match="has not played oahg"):
         person.save_ratings("oahg", good)
     recording.finish(results_of("P01", "oahg"))
-    for ratings, message in (
-        (good | {"comfort": 8}, r"ratings\.comfort = 8 must be a whole number from 1 to 7"),
-        (good | {"comfort": 0}, r"ratings\.comfort = 0 must"),
-        (good | {"comfort": 4.0}, r"ratings\.comfort = 4\.0 must"),
-        (good | {"comfort": True}, r"ratings\.comfort = True must"),
-        ({"comfort": 3}, "must be helpfulness, naturalness, controllability, comfort"),
-        (good | {"fun": 7}, "must be helpfulness"),
-    ):
-        with pytest.raises(ValueError, match=message):
-            person.save_ratings("oahg", ratings)
-        assert records.trials().empty
     with pytest.raises(ValueError, match="unscored: this game is not rated"):
         person.save_ratings(UNSCORED, good)
     person.save_ratings("oahg", good, "@SUM(1)")
@@ -525,7 +485,7 @@ def test_a_disk_that_fails_takes_nothing_and_can_be_mended(records, folder, monk
     for position, name in enumerate(NAMES[:6]):
         recording = stubborn(lambda name=name, position=position: person.begin_game(name, position, COLUMNS))
         for round_ in range(3):
-            stubborn(lambda: recording.append(ticks_of("P01", name, round_)))  # noqa: B023
+            stubborn(lambda: recording.append(ticks_of("P01", name, round_).to_dict("records")))  # noqa: B023
         stubborn(lambda: recording.finish(results_of("P01", name)))  # noqa: B023
         if name != UNSCORED:
             stubborn(lambda: person.save_ratings(name, ratings_of("P01", name), "fine"))  # noqa: B023
@@ -571,12 +531,12 @@ def test_a_full_disk_in_the_middle_of_a_game(folder):
     def task():
         records = Records(folder, FACTS)
         recording = records.participant("P01").begin_game("oahg", 2, COLUMNS)
-        recording.append(ticks_of("P01", "oahg", 0))
+        recording.append(ticks_of("P01", "oahg", 0).to_dict("records"))
         resource.setrlimit(resource.RLIMIT_FSIZE, (1500, resource.RLIM_INFINITY))
         with pytest.raises(OSError, match=r"desc-partial_beh\.tsv cannot be written: File too large"):
-            recording.append(ticks_of("P01", "oahg", 1, n=100))
+            recording.append(ticks_of("P01", "oahg", 1, n=100).to_dict("records"))
         resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY, resource.RLIM_INFINITY))
-        recording.append(ticks_of("P01", "oahg", 1))
+        recording.append(ticks_of("P01", "oahg", 1).to_dict("records"))
         recording.finish(results_of("P01", "oahg"))
 
     assert status_of(child(task)) == 0

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from guidance.sessions.lsl import MARKERS, TICKS, open_streams
-from guidance.study.tick_log import COLUMNS
+from guidance.sessions.tick_log import COLUMNS
 
 pylsl = pytest.importorskip("pylsl", exc_type=(ImportError, RuntimeError))
 

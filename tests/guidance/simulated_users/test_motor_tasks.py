@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from guidance.commands.validate_users import MEASURES, as_table, in_the_laboratory
 from guidance.simulated_users import Population, sample_people
 from guidance.simulated_users.intention import Intention
 from guidance.simulated_users.population import LogNormal
+from guidance.simulated_users.validation.measures import MEASURES, as_table, in_the_laboratory
 from guidance.simulated_users.validation.motor_tasks import (
     TARGET_TICK,
     jumping_targets,

@@ -406,8 +406,6 @@ def test_intentions_are_named_and_used():
 @pytest.mark.parametrize(
     ("build", "message"),
     [
-        (lambda: sample_people(0, 0), "people = 0 must be a whole number of at least 1"),
-        (lambda: sample_people(1, -1), "seed = -1"),
         (lambda: sample_people(1, 0, archetype="goalie"), "archetype = 'goalie' must be one of striker"),
         (
             lambda: Population.default(visual_delay=(0.5, 0.1, 0.1, 0.2, 0.0)),
@@ -428,7 +426,6 @@ def test_intentions_are_named_and_used():
         (lambda: _one().new_round(np.ones(1)), "mask float64"),
         (lambda: _one().ratings({"conflict": 1.0}), "scales = "),
         (lambda: _one().ratings({**SCALES, "jerk": 0.0}), "scales.jerk = 0.0"),
-        (lambda: play_anchor(sample_people(1, 0), None, "angel"), "anchor = 'angel'"),
     ],
 )
 def test_bad_input_is_named(build, message):

@@ -17,11 +17,10 @@ from scipy import stats as scipy_stats
 from airhockey_marl.experiment.files import find_files
 from guidance.statistics.design import CONDITIONS, METRICS
 from guidance.statistics.figures import COLORS, confidence_half_width, figure6, means_beside
-from guidance.statistics.groups import Group, conditions_of_both, side_by_side
+from guidance.statistics.groups import Group, conditions_of_both, gather, merge, side_by_side
 from guidance.statistics.paper import compare_with_paper, count_findings, published_results
 from guidance.statistics.report import screen_table, write_report
 from guidance.statistics.research_questions import answer_questions
-from guidance.statistics.runs import gather, merge
 from guidance.statistics.tests import check_trials, run_tests
 from tests.processes import start
 
@@ -65,7 +64,7 @@ def written(trials, tmp_path_factory):
         "models": {"optimal": "ab12" * 16},
         "config": {"users": {"n": 20}, "note": "<script>alert(1)</script>"},
     }
-    tests = write_report(trials, folder, manifest)
+    tests = write_report(trials, folder, manifest).tests
     return folder, tests, (folder / "report.html").read_text(encoding="utf-8")
 
 
@@ -163,7 +162,7 @@ def test_page_says_when_a_run_is_not_frozen(written, trials, tmp_path):
     ],
 )
 def test_some_conditions_only(trials, tmp_path, chosen, untested):
-    tests = write_report(trials[trials["condition"].isin(chosen)], tmp_path, {})
+    tests = write_report(trials[trials["condition"].isin(chosen)], tmp_path, {}).tests
     text = text_of((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert set(re.search(r"Not tested: ([^.]*)\.", text)[1].strip().split(", ")) == untested
     testable = 0 if tests.empty else 8
@@ -178,6 +177,13 @@ def test_no_trials_are_refused(trials, tmp_path):
     with pytest.raises(ValueError, match="no trials"):
         write_report(trials.iloc[:0], tmp_path, {})
     assert not list(tmp_path.iterdir())
+
+
+def test_too_few_participants(tmp_path):
+    assert write_report(synthetic_trials(users=2), tmp_path, {}).tests.empty
+    text = text_of((tmp_path / "report.html").read_text(encoding="utf-8"))
+    assert "too few participants (2)" in text
+    assert "The run has no manifest." in text
 
 
 def test_figure_draws_means_and_intervals(trials):
@@ -355,7 +361,7 @@ def test_command_names_what_is_wrong(sweep, tmp_path):
 
 def test_withdrawn_proxies_count_for_nothing(trials, tmp_path):
     whole, less = tmp_path / "whole", tmp_path / "less"
-    tests = write_report(trials, whole, {"config": {"users": {"withdrawn": []}}})
+    tests = write_report(trials, whole, {"config": {"users": {"withdrawn": []}}}).tests
     write_report(trials, less, {"config": {"users": {"withdrawn": ["comfort", "helpfulness"]}}})
     page = (less / "report.html").read_text()
     assert "Withdrawn:" in page and "Withdrawn:" not in (whole / "report.html").read_text()
@@ -398,8 +404,8 @@ def page_of(folder: Path) -> str:
 
 def test_what_people_say_is_a_rating(trials, tmp_path):
     """Not one number differs from those of the same trials of simulated people, and no word says proxy."""
-    tests = write_report(trials, tmp_path / "people", PEOPLE)
-    of_proxies = write_report(trials, tmp_path / "simulated", {})
+    tests = write_report(trials, tmp_path / "people", PEOPLE).tests
+    of_proxies = write_report(trials, tmp_path / "simulated", {}).tests
     assert not tests["proxy"].any() and of_proxies["proxy"].any()
     pd.testing.assert_frame_equal(tests.drop(columns="proxy"), of_proxies.drop(columns="proxy"))
     text = text_of(page_of(tmp_path / "people"))
@@ -428,7 +434,7 @@ def test_manifests_that_say_nothing_or_simulated_are_of_simulated_people(trials,
 
 @pytest.mark.parametrize("users", [1, 2, 3])
 def test_few_people(tmp_path, users):
-    tests = write_report(synthetic_trials(users=users), tmp_path, PEOPLE)
+    tests = write_report(synthetic_trials(users=users), tmp_path, PEOPLE).tests
     text = text_of(page_of(tmp_path))
     assert f"Interim. {users} of the 20 participants" in text
     if users < 3:
@@ -450,7 +456,7 @@ def unfinished(users: int = 5) -> pd.DataFrame:
 
 def test_people_who_have_not_finished(tmp_path):
     trials = unfinished()
-    tests = write_report(trials, tmp_path, PEOPLE)
+    tests = write_report(trials, tmp_path, PEOPLE).tests
     whole = run_tests(synthetic_trials(users=5).query("user in ['S01', 'S02', 'S03']"), people=True)
     for family in ("UPHG", "CombHG", "types"):  # as if the two were not there
         kept, expected = (frame[frame["family"] == family].reset_index(drop=True) for frame in (tests, whole))
@@ -466,7 +472,7 @@ def test_people_who_have_not_finished(tmp_path):
 
 
 def test_families_that_too_few_people_have_finished_are_named(tmp_path):
-    tests = write_report(unfinished(4), tmp_path / "all", PEOPLE)
+    tests = write_report(unfinished(4), tmp_path / "all", PEOPLE).tests
     text = text_of(page_of(tmp_path / "all"))
     assert "Not tested: within UPHG, within CombHG, types. Fewer than three" in text
     assert tests.loc[tests["family"] == "OAHG", "p"].notna().all()
@@ -493,7 +499,7 @@ def groups() -> tuple[Group, Group]:
 
 def test_two_groups_stand_side_by_side(groups, tmp_path):
     people, simulated = groups
-    tests = write_report(people.trials, tmp_path, PEOPLE, simulated)
+    tests = write_report(people.trials, tmp_path, PEOPLE, simulated).tests
     pd.testing.assert_frame_equal(tests, run_tests(people.trials, people=True))  # as without the other
     page = page_of(tmp_path)
     section = page[page.index("<h2>Side by side</h2>") : page.index("<h2>Where the paper is contradicted</h2>")]
@@ -632,7 +638,7 @@ def test_declared_conditions_keep_letter_label_and_color(declared_trials, tmp_pa
 
 
 def test_planned_comparisons_show_every_row(declared_trials, tmp_path):
-    tests = write_report(declared_trials, tmp_path, DECLARED)
+    tests = write_report(declared_trials, tmp_path, DECLARED).tests
     planned = tests[tests["test"] == "planned"]
     assert set(planned["family"]) == {"mine"} and len(planned) == 2 * 8
     pair = planned.query("x == 'b' and metric == 'win_rate'").iloc[0]

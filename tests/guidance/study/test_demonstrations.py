@@ -1,6 +1,5 @@
 """Unguided play as training data."""
 
-import pytest
 import torch
 
 from airhockey_marl.envs.physics import TableSpec
@@ -22,8 +21,3 @@ def test_every_user_plays_every_game_and_the_action_is_where_the_hand_went():
     assert torch.equal(again.action, data.action) and torch.equal(again.observation, data.observation)
     moved = data.action.diff(dim=2).abs().flatten()
     assert moved.quantile(0.999) < 0.4  # 20 ms at 1.5 m/s; only a new round puts the hand back at the center
-
-
-def test_wrong_sizes_are_named():
-    with pytest.raises(ValueError, match="games = 0"):
-        collect_demonstrations(training_people(0), opponent, 0, 10, TableSpec(), "comply_or_resist", NO_ADVISORS, 0)

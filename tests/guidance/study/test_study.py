@@ -188,8 +188,6 @@ def test_adapted_parameters_are_required_by_ua():
     model = GaussianPolicy([4])
     with pytest.raises(ValueError, match="adapted"):
         BatchedGuidance([UPHG_UA], 2, Models(model, model, model, 0.1, {}), None, 0.1)
-    with pytest.raises(ValueError, match=r"guidance\.lookahead = -1"):
-        BatchedGuidance([NHG], 2, Models(model, model, model, 0.1, {}), None, -1)
 
 
 @pytest.mark.parametrize("conditions", [2, 4, 9])

@@ -14,6 +14,7 @@ from torch import nn
 from airhockey_marl.envs.physics import TableSpec, action_range
 from airhockey_marl.experiment.command import run
 from guidance.commands import prediction_report
+from guidance.study import prediction
 from guidance.study.models import Models
 from guidance.user_model.data import Demonstrations
 from guidance.user_model.evaluation import (
@@ -124,7 +125,7 @@ def test_the_mean_interval_is_students():
 
 def test_a_model_of_ones_own_is_found_better():
     matrix = np.array([[1.0, 5.0, 3.0], [4.0, 2.0, 4.0], [2.0, 3.0, 1.0]])
-    found = prediction_report.for_whom(matrix)
+    found = prediction.for_whom(matrix)
     assert found["own"]["mean"] == pytest.approx(4 / 3)
     assert found["others"]["mean"] == pytest.approx((3 + 4 + 3.5) / 3)
     assert found["advantage"]["mean"] == pytest.approx((2 + 2 + 2.5) / 3)
@@ -148,11 +149,11 @@ def test_models_of_the_action_ahead_are_judged_by_the_action_ahead():
 
     prophet = Prophet()
     models = Models(prophet, prophet, prophet, 1e-9, {}, ahead=lead)
-    matrix = prediction_report.everybody_by_everybody(models, data, TABLE)
+    matrix = prediction.everybody_by_everybody(models, data, TABLE)
     assert matrix.shape == (2, 2) and matrix.max() < 0.03
-    found = prediction_report.reliabilities(models, data, TABLE)
+    found = prediction.reliabilities(models, data, TABLE)
     assert np.median(found["after_ua"]["seen"]) < 1e-3
-    late = prediction_report.everybody_by_everybody(replace(models, ahead=0.0), data, TABLE)
+    late = prediction.everybody_by_everybody(replace(models, ahead=0.0), data, TABLE)
     assert late.min() > 0.05
 
 

@@ -4,7 +4,7 @@ import torch
 
 from airhockey_marl.envs.physics import TableSpec
 from guidance.simulated_users.arm import HAND_REACH
-from guidance.user_model.rounds import action_ahead, hand_speed, round_starts
+from guidance.user_model.data import action_ahead, hand_speed, round_starts
 
 TABLE = TableSpec()
 

@@ -15,12 +15,17 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from airhockey_marl.experiment.files import find_files, load_json
 from guidance.forces.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidance, GuidanceOutput, Prediction
 from guidance.haptics.hand import HapticHand
+from guidance.sessions.game import load_games
+from guidance.simulated_users import SimulatedUsers
 from guidance.simulated_users.arm import HAND_REACH
+from guidance.simulated_users.intention import Intention
 from guidance.study.batched_guidance import BatchedGuidance
-from guidance.study.games import GameStep
+from guidance.study.games import GameRunner, GameStep
 from guidance.study.models import Models
+from guidance.study.setup import StudySetup
 
 STATE = [f"{body}_{part}" for body in ("own", "other", "puck") for part in ("x", "y", "vx", "vy")]
 ACTION = ["action_x", "action_y"]
@@ -182,3 +187,68 @@ def demonstration(ticks: pd.DataFrame) -> tuple[Tensor, Tensor]:
     """Observations (ticks, 12) and actions (ticks, 2), float32, of the scored play: the input of user adaptation."""
     scored = ticks[ticks["scored"] == 1]
     return tuple(torch.from_numpy(scored[names].to_numpy(dtype=np.float32, copy=True)) for names in (STATE, ACTION))
+
+
+def load_recorded_part(
+    run: Path, game: str | None, start: float, seconds: float
+) -> tuple[pd.DataFrame, dict[str, Any]]:
+    """The ticks of a part of a recorded game, and the facts for its film, see `scene_facts`.
+
+    Args:
+        run: a game's table (`..._beh.tsv`), the folder of a run of `airhockey play`, or one person's folder of
+            `airhockey lab`.
+        game: name of the game in the folder; None for the last.
+        start: s, the game's time at which the part begins.
+        seconds: s, length of the part.
+
+    Raises:
+        ValueError: there is no such game, or it has no ticks in that time.
+    """
+    if run.is_file():
+        file = run.with_suffix(".tsv")
+        facts = load_json(run.with_suffix(".json"))["Facts"]
+    else:
+        folders = sorted({file.parent for file in find_files([run], "*_beh.json")})
+        if len(folders) > 1:
+            raise ValueError(f"run = {run} has the games of several people: name the folder of one")
+        games = load_games(folders[0])
+        if not games:
+            raise ValueError(f"run = {run} has no complete game; an interrupted one is shown by the name of its .tsv")
+        if game is not None and game not in games:
+            raise ValueError(f"game = {game} must be one of {', '.join(games)}")
+        chosen = games[list(games)[-1] if game is None else game]
+        file, facts = chosen.file, chosen.facts
+    ticks = read_ticks(file)
+    ticks = ticks[ticks["scored"] == 1]  # time begins anew after the familiarization
+    ticks = ticks[(ticks["time_s"] > start) & (ticks["time_s"] <= start + seconds)].reset_index(drop=True)
+    if ticks.empty:
+        raise ValueError(f"start = {start}: {file} has nothing then")
+    return ticks, facts
+
+
+@torch.no_grad()
+def record_game(
+    users: SimulatedUsers, setup: StudySetup, adapted: TensorDict | None, serves: np.ndarray, seconds: float
+) -> pd.DataFrame:
+    """Play one person's game under the one condition of a setup, a round after each goal.
+
+    Args:
+        adapted: their own parameters of the user model, batch size (1,), if the condition has UA.
+        serves: (1,) uint64, the table's random numbers.
+
+    Returns:
+        A row per tick, see `COLUMNS`, with the desired position of the hand (wanted_x and
+        _y, in m of the hand) and the intention.
+    """
+    (condition,) = setup.conditions
+    guidance, tap = tapped_guidance(condition, setup.models, adapted, setup.lookahead_seconds)
+    runner, log = GameRunner(users, setup.opponent, setup.table, serves), TickLog(tap, setup.table.tick)
+    runner.new_games()
+    for _ in range(max(1, round(seconds / setup.table.tick))):
+        (wanted_x, wanted_y), intention = users.goal[0], Intention(users.intention[0]).name
+        tick = runner.tick(guidance)
+        scored = tick.goals != 0
+        log(tick, True, scored[0]).update(wanted_x=wanted_x, wanted_y=wanted_y, intention=intention)
+        if scored[0]:
+            runner.new_rounds(scored)
+    return pd.DataFrame(log.rows)
