@@ -4,7 +4,7 @@ import re
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from airhockey_marl.envs.physics import (
@@ -101,6 +101,22 @@ def test_no_contact_is_out_of_reach(state):
     bodies, _ = state
     time, contact, _ = _first_contact(bodies, TABLE)
     assert contact == NO_CONTACT or not _out_of_reach(bodies, np.nextafter(time, np.inf), TABLE)
+
+
+@settings(max_examples=200)
+@given(st.floats(-0.9, 0.9), st.floats(-0.4, 0.4), st.floats(0, 2 * np.pi), st.floats(0.01, 20))
+def test_energy_never_grows_without_a_paddle(x, y, angle, speed):
+    empty = TableSpec(paddle_radius=1e-6)  # paddles too small to matter, in opposite corners
+    bodies = table_with((x, y, speed * np.cos(angle), speed * np.sin(angle)), (-0.97, -0.51), (0.97, 0.51))
+    energy = (bodies[PUCK, 2:] ** 2).sum()
+    for _ in range(50):
+        goal, touched = step_physics(bodies, NOWHERE, empty)
+        assume(not touched)
+        after = (bodies[PUCK, 2:] ** 2).sum()
+        assert after <= energy
+        energy = after
+        if goal:
+            break
 
 
 @pytest.mark.parametrize("speed", [1.0, 5.0, 20.0, 200.0])

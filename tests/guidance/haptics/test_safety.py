@@ -81,6 +81,36 @@ def test_the_force_is_bounded_for_any_request(limits, steps):
         before = after
 
 
+def test_a_hundred_and_fifty_thousand_random_steps():
+    rng, limits = random.Random(1), SafetyLimits()
+    odd = (math.nan, math.inf, -math.inf, 1.8e308, -1.8e308, 1e300, 5e-324, -0.0)
+    safety, before, force, is_held = Safety(limits), (0.0, 0.0), (0.0, 0.0), True
+    counts = dict.fromkeys(("full", "fault", "released", "refused", "loose", "stale"), 0)
+    for step in range(150_000):
+        if step % 20 == 0:
+            force = tuple(rng.choice(odd) if rng.random() < 0.1 else rng.uniform(-5, 5) for _ in range(2))
+            is_held = rng.random() < 0.97
+        age = rng.choice((math.nan, math.inf, 1.0)) if rng.random() < 0.02 else rng.uniform(0, 0.03)
+        position, velocity = (rng.uniform(-0.07, 0.07), 0.07), (rng.uniform(-1, 1), rng.uniform(-1, 1))
+        strange = rng.random()
+        if strange < 0.0003:
+            position = (rng.choice((*odd, 0.2)), 0.0)
+        elif strange < 0.0006:
+            velocity = (0.0, rng.choice((*odd, 3.0)))
+        elif strange < 0.0008:
+            safety.fail("the cable is out")
+        if safety.fault is not None and rng.random() < 0.1:
+            counts["released" if safety.release() else "refused"] += 1
+        after = ask(safety, force, age, position, velocity, is_held)
+        check(safety, before, after)
+        counts["full"] += math.hypot(*after) > 0.999 * limits.force
+        counts["fault"] += safety.fault is not None
+        counts["loose"] += not is_held
+        counts["stale"] += not age <= limits.stale_after
+        before = after
+    assert all(count > 10 for count in counts.values()), counts  # each was really tried
+
+
 @given(anything, st.floats(0, 1e308))
 def test_clip_norm_never_exceeds_by_a_rounding(vector, most):
     x, y = clip_norm(*vector, most)
