@@ -50,7 +50,12 @@ def write_report(
 
     Returns:
         The trials, with their tests.
+
+    Raises:
+        ValueError: there are no trials.
     """
+    if trials.empty:
+        raise ValueError("there are no trials to report")
     folder, group = Path(folder), Group(trials, manifest)
     with atomic_write(folder / "tests.csv") as path:
         group.tests.to_csv(path, index=False)
