@@ -266,7 +266,7 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
         ("collect", "demonstrations.ticks=2.5", "demonstrations.ticks = 2.5 must be a whole number"),
         ("collect", "opponent=1000", "opponent = 1000 must be a generation of the league, 0 to 100"),
         ("play", "device=joystick", "device = joystick must be one of forcedimension, gamepad, mouse, simulated"),
-        ("play", "device.max_speed=0", "device.max_speed = 0 must be a number above 0"),
+        ("play", "device.max_speed=0", "device.max_speed = 0 must be a finite number above 0"),
         ("play", "device=gamepad", "device: gamepad = 0 must be the index of a connected gamepad"),
         ("play", "condition=uphg_ua", "condition = uphg_ua needs a model of you"),
         ("play", "seconds=0", "seconds = 0 must be a finite number above 0"),
