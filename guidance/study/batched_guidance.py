@@ -66,6 +66,7 @@ class BatchedGuidance:
             kind = replace(part, model=OPTIMAL)
             masks = self._springs.setdefault(kind, np.zeros((len(MODELS), len(mask)), dtype=bool))
             masks[MODELS.index(part.model)] = mask
+        self._index_games(self._all)
 
     def _masks(self, keys_of: Callable[[Guidance], Iterable[Hashable]]) -> dict[Hashable, np.ndarray]:
         """The mask (games,) of the games whose guidance has a key, by key."""
@@ -73,6 +74,13 @@ class BatchedGuidance:
         return {
             key: np.repeat([key in own for own in keys], self.users) for key in sorted(set().union(*keys), key=repr)
         }
+
+    def _index_games(self, games: np.ndarray) -> None:
+        """Turn the masks into indices for these games, which change only when one is over, not in every tick."""
+        self._games = games.copy()
+        self._rows = {name: mask[games].nonzero()[0] for name, mask in self._queries.items()}
+        self._targets_of = {s: torch.from_numpy(m[:, games].ravel().nonzero()[0]) for s, m in self._springs.items()}
+        self._edges = np.searchsorted(games, np.arange(len(self.conditions) + 1) * self.users)
 
     @torch.no_grad()
     def __call__(self, state: np.ndarray, action: np.ndarray, games: np.ndarray | None = None) -> GuidanceOutput:
@@ -85,13 +93,14 @@ class BatchedGuidance:
             `GuidanceOutput` of float64 tensors: force (k, 2); weights (k,), NaN where a guidance has none.
         """
         games = self._all if games is None else games
+        if not np.array_equal(games, self._games):
+            self._index_games(games)
         now, hand = (torch.from_numpy(value[games]).float() for value in (state, action))
         targets = self._predict(now.numpy(), games)
-        force, weight = self._pull(hand, targets, games)
+        force, weight = self._pull(hand, targets)
         w_user = torch.where(weight[1].isnan(), weight[2], weight[1])
         output = GuidanceOutput(torch.zeros(len(games), 2), weight[0], w_user, torch.full((len(games),), torch.nan))
-        edges = np.searchsorted(games, np.arange(len(self.conditions) + 1) * self.users)
-        for condition, first, last in zip(self.conditions, edges[:-1], edges[1:], strict=True):
+        for condition, first, last in zip(self.conditions, self._edges[:-1], self._edges[1:], strict=True):
             rows, guidance = slice(first, last), condition.guidance
             springs = [MODELS.index(part.model) for part in springs_of(guidance)]
             if len(springs) == 1:
@@ -115,21 +124,20 @@ class BatchedGuidance:
     def _predict(self, state: np.ndarray, games: np.ndarray) -> Prediction:
         """Mean and STD (models, k, 2) at the looked-ahead states of (k, 12); NaN where a game needs no such model."""
         mean, std = np.full((2, len(MODELS), len(games), 2), np.nan, dtype=np.float32)
-        for name, mask in self._queries.items():
-            rows, model = mask[games].nonzero()[0], MODELS.index(name)
+        for name, rows in self._rows.items():
+            model = MODELS.index(name)
             if len(rows):
                 ahead = self.models.lookahead_state(name, torch.from_numpy(state[rows]), self.lookahead_seconds)
                 users = games[rows] % self.users if name == ADAPTED else None
                 mean[model, rows], std[model, rows] = self._inference[name](ahead.numpy(), users)
         return Prediction(torch.from_numpy(mean), torch.from_numpy(std))
 
-    def _pull(self, hand: Tensor, targets: Prediction, games: np.ndarray) -> tuple[Tensor, Tensor]:
+    def _pull(self, hand: Tensor, targets: Prediction) -> tuple[Tensor, Tensor]:
         """Forces (models, k, 2) of the springs toward the targets, and their W_unc (models, k); NaN where none."""
         mean, std = (part.flatten(0, 1) for part in targets)
         force, weight = torch.full_like(mean, torch.nan), torch.full((len(mean),), torch.nan)
-        for spring, mask in self._springs.items():
-            index = torch.from_numpy(mask[:, games].ravel().nonzero()[0])
-            pull, w_unc = spring.pull(hand[index % len(games)], Prediction(mean[index], std[index]))
+        for spring, index in self._targets_of.items():
+            pull, w_unc = spring.pull(hand[index % len(hand)], Prediction(mean[index], std[index]))
             force[index] = pull
             if w_unc is not None:
                 weight[index] = w_unc
