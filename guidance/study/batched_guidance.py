@@ -76,11 +76,29 @@ class BatchedGuidance:
         }
 
     def _index_games(self, games: np.ndarray) -> None:
-        """Turn the masks into indices for these games, which change only when one is over, not in every tick."""
+        """Turn the masks into indices for these games, which change only when one is over, not in every tick.
+
+        A row is a place in `games`, a target a place in (models, games).
+        """
         self._games = games.copy()
         self._rows = {name: mask[games].nonzero()[0] for name, mask in self._queries.items()}
-        self._targets_of = {s: torch.from_numpy(m[:, games].ravel().nonzero()[0]) for s, m in self._springs.items()}
-        self._edges = np.searchsorted(games, np.arange(len(self.conditions) + 1) * self.users)
+        targets = {spring: mask[:, games].ravel().nonzero()[0] for spring, mask in self._springs.items()}
+        self._targets_of = {spring: torch.from_numpy(index) for spring, index in targets.items() if len(index)}
+        edges = np.searchsorted(games, np.arange(len(self.conditions) + 1) * self.users)
+        single, pairs, self._others = [], {}, []
+        for condition, first, last in zip(self.conditions, edges[:-1], edges[1:], strict=True):
+            if first == last:
+                continue
+            rows, guidance = torch.arange(first, last), condition.guidance
+            targets = [MODELS.index(part.model) * len(games) + rows for part in springs_of(guidance)]
+            if len(targets) == 1:
+                single.append(torch.stack([rows, *targets]))
+            elif targets:
+                pairs.setdefault(guidance.similarity, (guidance, []))[1].append(torch.stack([rows, *targets]))
+            else:
+                self._others.append((guidance, rows))
+        self._single = torch.cat(single, dim=1) if single else torch.empty(2, 0, dtype=torch.int64)
+        self._pairs = [(guidance, torch.cat(index, dim=1)) for guidance, index in pairs.values()]
 
     @torch.no_grad()
     def __call__(self, state: np.ndarray, action: np.ndarray, games: np.ndarray | None = None) -> GuidanceOutput:
@@ -98,50 +116,46 @@ class BatchedGuidance:
         now, hand = (torch.from_numpy(value[games]).float() for value in (state, action))
         targets = self._predict(now.numpy(), games)
         force, weight = self._pull(hand, targets)
-        w_user = torch.where(weight[1].isnan(), weight[2], weight[1])
-        output = GuidanceOutput(torch.zeros(len(games), 2), weight[0], w_user, torch.full((len(games),), torch.nan))
-        for condition, first, last in zip(self.conditions, self._edges[:-1], self._edges[1:], strict=True):
-            rows, guidance = slice(first, last), condition.guidance
-            springs = [MODELS.index(part.model) for part in springs_of(guidance)]
-            if len(springs) == 1:
-                output.force[rows] = force[springs[0], rows]
-                continue
-            if springs:
-                combination, w_sim = guidance.join(*(force[i, rows] for i in springs))
-                result = GuidanceOutput(combination, w_sim=w_sim)
-            else:
-                predictions = {
-                    name: Prediction(targets.mean[i, rows], targets.std[i, rows])
-                    for i, name in enumerate(MODELS)
-                    if name in guidance.models()
-                }
-                result = guidance(now[rows], hand[rows], predictions)
+        w_optimal, w_user, w_adapted = weight.unflatten(0, (len(MODELS), -1))
+        w_user = torch.where(w_user.isnan(), w_adapted, w_user)
+        output = GuidanceOutput(torch.zeros(len(games), 2), w_optimal, w_user, torch.full((len(games),), torch.nan))
+        rows, index = self._single
+        output.force[rows] = force[index]
+        for guidance, (rows, optimal, user) in self._pairs:
+            output.force[rows], w_sim = guidance.join(force[optimal], force[user])
+            if w_sim is not None:
+                output.w_sim[rows] = w_sim
+        for guidance, rows in self._others:
+            predictions = {
+                name: Prediction(*(part.unflatten(0, (len(MODELS), -1))[MODELS.index(name), rows] for part in targets))
+                for name in guidance.models()
+            }
+            result = guidance(now[rows], hand[rows], predictions)
             for total, part in zip(output, result, strict=True):
                 if part is not None:
                     total[rows] = part.float()
         return GuidanceOutput(*(part.double() for part in output))
 
     def _predict(self, state: np.ndarray, games: np.ndarray) -> Prediction:
-        """Mean and STD (models, k, 2) at the looked-ahead states of (k, 12); NaN where a game needs no such model."""
-        mean, std = np.full((2, len(MODELS), len(games), 2), np.nan, dtype=np.float32)
+        """Mean and STD (targets, 2) at the looked-ahead states of (k, 12); NaN where a game needs no such model."""
+        mean, std = np.full((2, len(MODELS) * len(games), 2), np.nan, dtype=np.float32)
         for name, rows in self._rows.items():
-            model = MODELS.index(name)
             if len(rows):
                 ahead = self.models.lookahead_state(name, torch.from_numpy(state[rows]), self.lookahead_seconds)
                 users = games[rows] % self.users if name == ADAPTED else None
-                mean[model, rows], std[model, rows] = self._inference[name](ahead.numpy(), users)
+                target = MODELS.index(name) * len(games) + rows
+                mean[target], std[target] = self._inference[name](ahead.numpy(), users)
         return Prediction(torch.from_numpy(mean), torch.from_numpy(std))
 
     def _pull(self, hand: Tensor, targets: Prediction) -> tuple[Tensor, Tensor]:
-        """Forces (models, k, 2) of the springs toward the targets, and their W_unc (models, k); NaN where none."""
-        mean, std = (part.flatten(0, 1) for part in targets)
+        """Forces (targets, 2) of the springs toward the targets, and their W_unc (targets,); NaN where none."""
+        mean, std = targets
         force, weight = torch.full_like(mean, torch.nan), torch.full((len(mean),), torch.nan)
         for spring, index in self._targets_of.items():
-            pull, w_unc = spring.pull(hand[index % len(hand)], Prediction(mean[index], std[index]))
-            force[index] = pull
+            force[index], w_unc = spring.pull(hand[index % len(hand)], Prediction(mean[index], std[index]))
             if w_unc is not None:
                 weight[index] = w_unc
-        return force.unflatten(0, (len(MODELS), -1)), weight.unflatten(0, (len(MODELS), -1))
+        return force, weight
 
 
 def springs_of(guidance: Guidance) -> tuple[SpringGuidance, ...]:
