@@ -8,24 +8,19 @@ generation 0, and the last generations of all runs play each other. All sample t
 comparison.csv, a row per match and side, and comparison.png into its run folder, and prints a table.
 """
 
-from pathlib import Path
-
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts
-from airhockey_marl.experiment.files import atomic_write, find_files
+from airhockey_marl.experiment.files import find_files, write_text
+from airhockey_marl.experiment.run_folder import output_folder
 
 
 def check(cfg: DictConfig) -> None:
-    require_counts(cfg, "rounds", "threads")
-    require_counts(cfg, "seed", least=0)
+    require_counts(cfg, "rounds")
 
 
 def main(cfg: DictConfig) -> None:
     """Play the matches, write them down and draw them."""
-    import torch
-
     from airhockey_marl.evaluation.comparison import (
         LEAGUE_FILE,
         check_runs,
@@ -37,14 +32,10 @@ def main(cfg: DictConfig) -> None:
     from airhockey_marl.experiment.plotting import save_png
 
     with report_input_errors():
-        places = [cfg.runs] if isinstance(cfg.runs, str) else cfg.runs
-        runs = [read_run(file.parent) for file in find_files(places, LEAGUE_FILE)]
+        runs = [read_run(file.parent) for file in find_files(cfg.runs, LEAGUE_FILE)]
         check_runs(runs)
-    torch.set_num_threads(cfg.threads)
-    folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
-    results = compare(runs, cfg.rounds, cfg.seed)
-    with atomic_write(folder / "comparison.csv") as path:
-        results.to_csv(path, index=False)
+    folder, results = output_folder(cfg), compare(runs, cfg.rounds, cfg.seed)
+    write_text(folder / "comparison.csv", results.to_csv(index=False))
     save_png(comparison_figure(results), folder / "comparison.png", dpi=150)
     print(screen_table(results))
     print(f"\n{folder / 'comparison.csv'}\n{folder / 'comparison.png'}")

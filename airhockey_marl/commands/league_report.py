@@ -9,25 +9,23 @@ folder, and what TensorBoard reads.
 
 from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import load_json
 from airhockey_marl.experiment.progress import ProgressBar
+from airhockey_marl.experiment.run_folder import output_folder
 
 
 def check(cfg: DictConfig) -> None:
-    require_counts(cfg, "threads", "every", "rounds", "match_rounds", "save_tables", "std_tables")
-    require_counts(cfg, "seed", "exploit_generations", least=0)
+    require_counts(cfg, "every", "rounds", "match_rounds", "save_tables", "std_tables")
+    require_counts(cfg, "exploit_generations", least=0)
     require_numbers(cfg, "std_seconds")
 
 
 def main(cfg: DictConfig) -> None:
     """Measure the league and write its report."""
-    import torch
-
     from airhockey_marl.evaluation.league_metrics import EvaluationBudget, check_league
     from airhockey_marl.evaluation.league_report import LAYOUT, TAGS, log_to_tensorboard, summary, write_report
     from airhockey_marl.evaluation.matches import FRAME_SKIP
@@ -44,8 +42,7 @@ def main(cfg: DictConfig) -> None:
         card = read_card(run / "card.json", league.hashes)
         if cfg.exploit_generations and "config" not in card:
             raise InputError(f"exploit_generations = {cfg.exploit_generations} needs a finished run: {run} has no card")
-    torch.set_num_threads(cfg.threads)
-    folder, progress = Path(HydraConfig.get().runtime.output_dir), ProgressBar()
+    folder, progress = output_folder(cfg), ProgressBar()
     budget = EvaluationBudget(cfg.every, cfg.rounds, cfg.match_rounds, cfg.save_tables, cfg.std_tables, cfg.std_seconds)
     training = OmegaConf.create(card.get("config", {}))
     ticks = OmegaConf.select(training, "env.frame_skip", default=FRAME_SKIP)

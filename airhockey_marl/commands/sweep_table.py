@@ -14,12 +14,12 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors
 from airhockey_marl.experiment.config import InputError, flatten_settings
-from airhockey_marl.experiment.files import atomic_write, find_files, load_json
+from airhockey_marl.experiment.files import find_files, load_json, write_text
+from airhockey_marl.experiment.run_folder import output_folder
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -30,18 +30,17 @@ CARD = "card.json"
 def main(cfg: DictConfig) -> None:
     """Write the table of all runs, and print it averaged over seeds."""
     with report_input_errors():
-        rows, varied, scores = tabulate(read_cards([cfg.runs] if isinstance(cfg.runs, str) else cfg.runs))
+        rows, varied, scores = tabulate(read_cards(cfg.runs))
         if cfg.by is not None and cfg.by not in scores:
             raise InputError(f"by = {cfg.by} must be one of {', '.join(scores)}")
-    folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
-    with atomic_write(folder / "sweep_table.csv") as temporary:
-        rows.to_csv(temporary, index=False)
+    file = output_folder(cfg) / "sweep_table.csv"
+    write_text(file, rows.to_csv(index=False))
     table = over_seeds(rows, varied, scores, cfg.by or scores[0])
     print(table.to_string(index=False, float_format="{:.4g}".format))
-    print(f"\ntable of all runs: {folder / 'sweep_table.csv'}")
+    print(f"\ntable of all runs: {file}")
 
 
-def read_cards(places: Iterable[str]) -> dict[Path, dict[str, Any]]:
+def read_cards(places: str | Iterable[str]) -> dict[Path, dict[str, Any]]:
     """The card of every finished run at or below the places, by its folder."""
     cards = {file.parent: load_json(file) for file in find_files(places, CARD)}
     for folder, card in cards.items():

@@ -14,22 +14,19 @@ that was never stopped, but for the tags `speed/`, which depend on the clock.
 """
 
 from contextlib import closing
-from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
-from airhockey_marl.experiment.command import report_input_errors, require_counts, require_device, require_numbers
-from airhockey_marl.experiment.config import InputError, resumed_config
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import write_json
-from airhockey_marl.experiment.run_folder import lock_run_folder, note_headline
+from airhockey_marl.experiment.run_folder import card_facts, lock_run_folder, note_headline, output_folder
 
 
 def check(cfg: DictConfig) -> None:
-    counts = ("threads", "generations", "steps_per_generation", "batch")
-    require_counts(cfg, *counts, "env.tables", "env.frame_skip", "league.opponents")
-    require_counts(cfg, "league.match_rounds", "league.match_every")
-    require_counts(cfg, "seed", "shaping.generations", "pictures_every", least=0)
+    require_counts(cfg, "generations", "steps_per_generation", "batch", "env.tables", "env.frame_skip")
+    require_counts(cfg, "league.opponents", "league.match_rounds", "league.match_every")
+    require_counts(cfg, "shaping.generations", "pictures_every", least=0)
     require_numbers(cfg, "gamma", "league.win_rate_decay", at_most=1.0)
     require_numbers(cfg, "env.round_seconds")
     require_numbers(cfg, *(f"shaping.{name}" for name in ("position", "velocity", "shot", "approach")), least=0.0)
@@ -46,34 +43,21 @@ def main(cfg: DictConfig) -> float:
 
     from airhockey_marl.experiment.tensorboard import log_final_scores
     from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
-    from airhockey_marl.self_play.league_training import (
-        STATE_FILE,
-        STRONGEST_SCRIPT,
-        LeagueTraining,
-        model_card,
-        train_league,
-    )
+    from airhockey_marl.self_play.league_training import STRONGEST_SCRIPT, LeagueTraining, model_card, train_league
 
     with report_input_errors():
-        if cfg.resume is not None:
-            cfg = resumed_config(Path(cfg.resume), STATE_FILE, cfg)
-        check(cfg)
-        require_device(cfg)
         for name in cfg.league.scripted_players:
             SCRIPTED_PLAYERS.find(name, "league.scripted_players")
-        torch.set_num_threads(cfg.threads)
         torch.manual_seed(cfg.seed)
         training = LeagueTraining(cfg)
-    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    with closing(training.trainer.workers), lock_run_folder(folder, "run"):
+    folder = output_folder(cfg)
+    with closing(training.trainer.workers), lock_run_folder(folder):
         train_league(training, folder)
-        made_by = " ".join(["python -m airhockey_marl.train", *HydraConfig.get().overrides.task])
         card = model_card(cfg, training.league)
-        write_json(folder / "card.json", {"command": made_by, "seconds": round(training.seconds, 1), **card})
+        write_json(folder / "card.json", card | card_facts(cfg, training.seconds))
         scores = card["win_rate_of_last_against"]
-        note_headline(
-            folder, f"beats generation 0 {scores['0']:.3g}, {STRONGEST_SCRIPT} {scores[STRONGEST_SCRIPT]:.3g}"
-        )
+        against = {"generation 0": scores["0"], STRONGEST_SCRIPT: scores[STRONGEST_SCRIPT]}
+        note_headline(folder, "beats " + ", ".join(f"{name} {rate:.3g}" for name, rate in against.items()))
         # the page shows the first five by name until it is asked for others: the scripts come first
         shown = {
             f"{'against' if name in SCRIPTED_PLAYERS else 'generation'}_{name}": rate for name, rate in scores.items()

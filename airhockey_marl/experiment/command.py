@@ -1,8 +1,9 @@
 """How every command starts: Hydra underneath, a manual for `--help`, one clear line for an error.
 
 A command is a module in a package `commands`: its docstring is the manual, `main(cfg)` runs it, and `check(cfg)`, if it
-has one, raises a ValueError for values that it cannot run with. It is configured by `conf/<name of the module>.yaml`.
-What is typed is checked before the module is imported, because models, compilers and statistics take seconds to import.
+has one, raises a ValueError for values that it cannot run with. It is configured by `conf/<name of the module>.yaml`,
+where the keys `seed`, `threads`, `compute` and `resume` mean the same for all commands, see `prepare`. What is typed is
+checked before the module is imported, because models, compilers and statistics take seconds to import.
 """
 
 import ast
@@ -21,6 +22,7 @@ from functools import cached_property
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
 from typing import Any, NoReturn
 
 import hydra
@@ -28,7 +30,7 @@ from hydra import initialize_config_dir
 from hydra._internal.utils import get_args_parser
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import env_override
-from hydra.errors import HydraException, InstantiationException
+from hydra.errors import HydraException
 from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
@@ -36,12 +38,14 @@ from omegaconf.errors import OmegaConfBaseException
 from airhockey_marl.experiment.config import (
     COMMAND_GROUPS,
     CONF,
+    STATE_FILE,
     InputError,
     also_search,
     check_overrides,
     default_choices,
     describe,
     group_options,
+    resumed_config,
 )
 from airhockey_marl.experiment.files import UNWRITABLE, WriteError
 from airhockey_marl.experiment.registry import ENVIRONMENT, load_plugins
@@ -49,18 +53,13 @@ from airhockey_marl.experiment.validation import check_counts, check_numbers
 
 PACKAGE = Path(__file__).parents[1]
 LAUNCHERS = Path(__file__).parent / "launchers"
-# What a choice of Hydra's own groups needs, and the extra that brings it.
-JOBLIB = ("hydra_plugins.hydra_joblib_launcher", "joblib")
-SUBMITIT = ("hydra_plugins.hydra_submitit_launcher", "submitit")
-OPTUNA = ("hydra_plugins.hydra_optuna_sweeper", "optuna")
 RAY = "hydra/launcher=ray"
-PLUGINS = {
-    "hydra/launcher=cores": JOBLIB,
-    "hydra/launcher=slurm": SUBMITIT,
-    "hydra/launcher=slurm_here": SUBMITIT,
+EXTRAS = {  # by what is typed: the module that it needs, and the extra of this package that brings it
+    "hydra/launcher=cores": ("hydra_plugins.hydra_joblib_launcher", "joblib"),
+    "hydra/launcher=slurm": ("hydra_plugins.hydra_submitit_launcher", "submitit"),
     RAY: ("ray", "ray"),
-    "hydra/sweeper=optuna": OPTUNA,
-    "sweep": OPTUNA,  # whichever
+    "hydra/sweeper=optuna": ("hydra_plugins.hydra_optuna_sweeper", "optuna"),
+    "sweep/": ("hydra_plugins.hydra_optuna_sweeper", "optuna"),
 }
 
 _terminal: Any = None  # standard error while Hydra's own is held back, see `run`
@@ -97,10 +96,7 @@ class Command:
                 OmegaConf.to_container(cfg, resolve=True)  # finds a broken reference now
                 provide_numba_cache()
                 module = import_module(self.module)
-                if hasattr(module, "check"):
-                    with report_input_errors():
-                        module.check(cfg)
-                return module.main(cfg)
+                return module.main(prepare(cfg, module))
             except Exception as error:
                 if HydraConfig.get().mode == RunMode.MULTIRUN:
                     _print_failed(error)
@@ -167,7 +163,8 @@ def run(module: str, argv: Sequence[str] | None = None) -> None:
         if not options.shell_completion:
             if complaint := missing_extra(arguments):
                 raise InputError(complaint)
-            _register_plugins(arguments)
+            if RAY in {argument.lstrip("+") for argument in arguments}:
+                sys.path.append(str(LAUNCHERS))  # Hydra looks for plugins below folders `hydra_plugins`, nowhere else
             check_overrides(command.conf, command.name, options.overrides)
     except InputError as error:
         _fail(str(error), 2)
@@ -203,8 +200,6 @@ def report_input_errors() -> Iterator[None]:
     """For the part of a command that checks its input: a `ValueError` in it is the input's fault."""
     try:
         yield
-    except InstantiationException as error:  # Hydra's wrapping of what a constructor raised
-        raise InputError(str(error.__cause__ or error)) from error
     except ValueError as error:
         raise InputError(str(error)) from error
 
@@ -224,37 +219,59 @@ def require_numbers(
         check_numbers(**lower, at_most=at_most, **{key: OmegaConf.select(cfg, key) for key in keys})
 
 
-def require_device(cfg: DictConfig) -> None:
-    """Raise an InputError if torch finds no device for the value of `compute` here."""
-    import torch  # not above: commands start without it
+def prepare(cfg: DictConfig, module: ModuleType) -> DictConfig:
+    """Check a command's configuration, set the threads of torch, and return what the command is to run with.
 
-    present = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
-    if cfg.compute not in present:
-        raise InputError(f"compute = {cfg.compute} must be one of {', '.join(present)}, which are what there is here")
+    That is the configuration itself, or with `resume` that of the earlier run; the module's STATE_FILE is the file from
+    which its runs resume, if that is not `config.STATE_FILE`.
+    An InputError names a value that the command cannot run with, or a `compute` for which torch finds no device.
+    """
+    with report_input_errors():
+        if cfg.get("resume") is not None:
+            cfg = resumed_config(Path(cfg.resume), getattr(module, "STATE_FILE", STATE_FILE), cfg)
+        require_counts(cfg, *{"threads"} & {*cfg})
+        require_counts(cfg, *{"seed"} & {*cfg}, least=0)
+        if hasattr(module, "check"):
+            module.check(cfg)
+    if "threads" in cfg:
+        import torch  # not above: commands start without it
+
+        present = ["cpu", *(["cuda"] if torch.cuda.is_available() else [])]
+        if cfg.get("compute", "cpu") not in present:
+            allowed = f"must be one of {', '.join(present)}, which are what there is here"
+            raise InputError(f"compute = {cfg.compute} {allowed}")
+        torch.set_num_threads(cfg.threads)
+    return cfg
 
 
 def missing_extra(arguments: Sequence[str]) -> str | None:
     """What to install for the launcher or sweeper that the arguments ask for; None if it is there."""
     for argument in arguments:
-        key = argument.lstrip("+")
-        module, extra = PLUGINS.get("sweep" if key.startswith("sweep/") else key, (None, ""))
-        if module is not None and not _is_installed(module):
-            return f"{argument} needs what `pip install 'airhockey-haptics[{extra}]'` brings: there is no {module}"
+        for start, (module, extra) in EXTRAS.items():
+            if argument.lstrip("+").startswith(start) and not _is_installed(module):
+                return f"{argument} needs what `pip install 'airhockey-haptics[{extra}]'` brings: there is no {module}"
     return None
 
 
 def provide_numba_cache() -> None:
     """Give numba a temporary folder for compiled code where no other can be written to: without one it raises.
 
-    matplotlib, which makes a folder of its own but says so in many words, is given the same.
+    matplotlib, which makes a folder of its own but says so in many words, is given the same. A process that compiled
+    something says in the end that it is not kept.
     """
     user = os.environ.get("XDG_CACHE_HOME") or Path("~/.cache").expanduser()
     if os.environ.get("NUMBA_CACHE_DIR") or _is_writable(PACKAGE) or _is_writable(Path(user)):
         return
     os.environ["NUMBA_CACHE_DIR"] = folder = tempfile.mkdtemp(prefix="airhockey-numba-")
     os.environ.setdefault("MPLCONFIGDIR", folder)
-    atexit.register(shutil.rmtree, folder, ignore_errors=True)
-    print("note: compiled code is not kept, it will be compiled again: NUMBA_CACHE_DIR=... keeps it", file=sys.stderr)
+    atexit.register(_remove_numba_cache, folder)
+
+
+def _remove_numba_cache(folder: str) -> None:
+    if "numba" in sys.modules:
+        note = "note: compiled code is not kept, it will be compiled again: NUMBA_CACHE_DIR=... keeps it"
+        print(note, file=sys.stderr)
+    shutil.rmtree(folder, ignore_errors=True)
 
 
 def _is_writable(folder: Path) -> bool:
@@ -289,12 +306,6 @@ def _is_installed(module: str) -> bool:
         return find_spec(module) is not None
     except ModuleNotFoundError:  # not even the package that it would be in
         return False
-
-
-def _register_plugins(arguments: Sequence[str]) -> None:
-    """Have Hydra find our own launcher: it looks below folders `hydra_plugins` of the search path, nowhere else."""
-    if RAY in {argument.lstrip("+") for argument in arguments} and str(LAUNCHERS) not in sys.path:
-        sys.path.append(str(LAUNCHERS))
 
 
 def _trouble(error: Exception) -> str | None:

@@ -21,6 +21,7 @@ from omegaconf import DictConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import AliasEvent, YAMLError
 
+STATE_FILE = "state.safetensors"  # from which a run resumes
 MAX_BYTES = 30_000  # of a kept configuration; the largest that a command of ours writes has 7,000
 MAX_REFERENCES = 16  # in it; ours have 6. Each three of them can make it three times as much at most
 

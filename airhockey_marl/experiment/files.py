@@ -88,10 +88,15 @@ def remove_temporary_files(folder: Path) -> None:
             remove(file)
 
 
+def write_bytes(path: Path | str, content: bytes) -> None:
+    """Write `content` to `path` atomically."""
+    with atomic_write(path) as temporary:
+        temporary.write_bytes(content)
+
+
 def write_text(path: Path | str, text: str) -> None:
     """Write `text` to `path` atomically."""
-    with atomic_write(path) as temporary:
-        temporary.write_text(text, encoding="utf-8")
+    write_bytes(path, text.encode())
 
 
 def write_json(path: Path | str, content: Any) -> None:
@@ -110,13 +115,13 @@ def load_json(path: Path) -> dict[str, Any]:
     return content
 
 
-def find_files(places: Iterable[Path | str], name: str) -> list[Path]:
-    """Files of this name at or below the given files, folders or glob patterns, each once.
+def find_files(places: Path | str | Iterable[Path | str], name: str) -> list[Path]:
+    """Files of this name at or below one or several files, folders or glob patterns, each once.
 
     A ValueError names a place at or below which there is none.
     """
     paths: dict[Path, Path] = {}
-    for place in places:
+    for place in [places] if isinstance(places, str | Path) else places:
         # an existing path is taken literally: a sweep's folder may have brackets or stars in its name
         matches = [place] if Path(place).exists() else sorted(glob.glob(str(place), recursive=True))
         files = [file for match in map(Path, matches) for file in ([match] if match.is_file() else match.rglob(name))]

@@ -10,7 +10,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from airhockey_marl.experiment.files import atomic_write
+from airhockey_marl.experiment.files import write_bytes
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -74,8 +74,7 @@ def png_bytes(figure: Figure, dpi: int = 150) -> bytes:
 
 def save_png(figure: Figure, path: Path, dpi: int = 130) -> None:
     """Write a figure as PNG atomically."""
-    with atomic_write(path) as temporary:
-        temporary.write_bytes(png_bytes(figure, dpi))
+    write_bytes(path, png_bytes(figure, dpi))
 
 
 def save_figure(draw: Callable[[], Figure], folder: Path, name: str, dpi: int) -> bytes:
@@ -86,6 +85,5 @@ def save_figure(draw: Callable[[], Figure], folder: Path, name: str, dpi: int) -
         figure, svg = draw(), io.BytesIO()
         save_png(figure, folder / f"{name}.png", dpi)
         figure.savefig(svg, format="svg", metadata={"Date": None})
-    with atomic_write(folder / f"{name}.svg") as path:
-        path.write_bytes(svg.getvalue())
+    write_bytes(folder / f"{name}.svg", svg.getvalue())
     return svg.getvalue()

@@ -16,16 +16,18 @@ from typing import Any
 
 import psutil
 from filelock import FileLock, Timeout
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.experimental.callback import Callback
-from omegaconf import DictConfig
+from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.experiment.command import report_input_errors
+from airhockey_marl.experiment.config import STATE_FILE
 from airhockey_marl.experiment.files import name_write_errors, remove_temporary_files, write_json
 
 RECORD = "run.json"
 STATES = ("running", "done", "failed", "interrupted", "unknown")
-GOES_ON_FROM = ("state.safetensors", "batches")  # what a run leaves that can be resumed
+GOES_ON_FROM = (STATE_FILE, "batches")  # what a run leaves that can be resumed
 
 
 @dataclass(frozen=True)
@@ -153,6 +155,23 @@ class RunRecorder(Callback):
             replace(run, **end, seconds=seconds, headline=headline).write()
 
 
+def output_folder(cfg: DictConfig) -> Path:
+    """The folder for a command's files: of the run that it resumes, the one that its key `out` names, or its own."""
+    return Path(cfg.get("resume") or cfg.get("out") or HydraConfig.get().runtime.output_dir)
+
+
+def command_line() -> str:
+    """The running command as it was typed."""
+    job = HydraConfig.get()
+    return " ".join(["airhockey", job.job.config_name, *job.overrides.task])
+
+
+def card_facts(cfg: DictConfig, seconds: float) -> dict[str, Any]:
+    """What the card of every result says of its origin."""
+    facts = {"command": command_line(), "date": time.strftime("%Y-%m-%d"), "seed": cfg.seed}
+    return facts | {"seconds": round(seconds, 1), "config": OmegaConf.to_container(cfg)}
+
+
 def note_headline(folder: Path, headline: str) -> None:
     """Write the numbers that a job is known by, in a few words, into its run.json, if it has one."""
     run = read_run(folder)
@@ -209,11 +228,11 @@ def acquire_lock(folder: Path, name: str) -> FileLock:
 
 
 @contextmanager
-def lock_run_folder(folder: Path, name: str) -> Iterator[None]:
+def lock_run_folder(folder: Path) -> Iterator[None]:
     """Hold the lock of a run folder, and remove what a killed process has left half written in it."""
     with report_input_errors(), name_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
-        lock = acquire_lock(folder, name)
+        lock = acquire_lock(folder, "run")
     try:
         remove_temporary_files(folder)
         yield

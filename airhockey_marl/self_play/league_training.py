@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 from torch.utils.tensorboard import SummaryWriter
 from tqdm import tqdm
 
@@ -16,7 +16,8 @@ from airhockey_marl.algorithms.reward_shaping import shaping_strength
 from airhockey_marl.evaluation import figures
 from airhockey_marl.evaluation.matches import MatchResult, play_opponents
 from airhockey_marl.experiment.checkpoint import Checkpoint
-from airhockey_marl.experiment.command import InputError, report_input_errors
+from airhockey_marl.experiment.command import report_input_errors
+from airhockey_marl.experiment.config import STATE_FILE, InputError
 from airhockey_marl.experiment.files import name_write_errors, write_text
 from airhockey_marl.experiment.plotting import png_bytes
 from airhockey_marl.experiment.tensorboard import add_picture, log_run_header, open_writer, tensorboard_dir
@@ -27,7 +28,7 @@ from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.scripted import REFERENCE_PLAYERS
 from airhockey_marl.self_play.trainer import SelfPlayTrainer
 
-LEAGUE_FILE, MATCHES_FILE, STATE_FILE = "league.safetensors", "matches.csv", "state.safetensors"
+LEAGUE_FILE, MATCHES_FILE = "league.safetensors", "matches.csv"
 STATE_METADATA = {"generation": int, "matches": list, "goals": list, "seconds": float}  # types in the state file
 STRONGEST_SCRIPT = "striker"
 CARD_ROUNDS_FACTOR = 25  # rounds on the model card / rounds after a generation: the card's win rates are kept for good
@@ -171,11 +172,8 @@ def model_card(cfg: DictConfig, league: League) -> dict:
     results = play_opponents(league.player(last), batch, rounds, cfg.seed + 1, cfg.env.frame_skip)
     return {
         "model": "optimal action model: a league of self-play generations (section 3.2.2)",
-        "date": time.strftime("%Y-%m-%d"),
-        "seed": cfg.seed,
         "steps": cfg.generations * cfg.steps_per_generation,
         "generations": len(league),
         "win_rate_of_last_against": {str(opponent): round(result.win_rate, 3) for opponent, result in results.items()},
         "hashes": league.hashes,
-        "config": OmegaConf.to_container(cfg),
     }

@@ -13,9 +13,7 @@ into conf/: calibration never changes a study by itself.
 """
 
 from dataclasses import replace
-from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
@@ -23,15 +21,14 @@ from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import write_text
 from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.experiment.registry import construct
+from airhockey_marl.experiment.run_folder import output_folder
 
 OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has the number of its condition
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
-    require_counts(cfg, "threads", "every")
+    require_counts(cfg, "every")
     require_counts(cfg, "games", least=2)  # UA from one, uncertainty in the others
-    require_counts(cfg, "seed", least=0)
     require_numbers(cfg, "w_unc.optimal", "w_unc.user", "low_over_high", at_most=0.999)
     require_numbers(cfg, "stability.rule.share", "stability.rule.of_people", at_most=1.0)
     require_numbers(cfg, "stability.rule.step")
@@ -43,7 +40,6 @@ def check(cfg: DictConfig) -> None:
 def main(cfg: DictConfig) -> None:
     """Calibrate, and write down the values and what they rest on."""
     import numpy as np
-    import torch
 
     from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.league.league import League
@@ -69,16 +65,15 @@ def main(cfg: DictConfig) -> None:
         league = League.load(cfg.models.opponents)
         if cfg.opponent is not None:
             league.generation(cfg.opponent)
-    torch.set_num_threads(cfg.threads)
     progress = ProgressBar()
 
     def play(generation: int, trial: int, demonstrations: bool = False) -> Games:
         """Each of the nine plays `games` games: rows are person by person."""
-        streams = [user_and_table_states(cfg.seed, range(len(people)), trial + game) for game in range(cfg.games)]
-        minds, serves = (np.stack(part, axis=1).ravel() for part in zip(*streams, strict=True))
-        seated = SimulatedUsers(np.repeat(people, cfg.games), minds, TableSpec(), cfg.users.variant, advisors)
+        states = [user_and_table_states(cfg.seed, range(len(people)), trial + game) for game in range(cfg.games)]
+        minds, serves = (np.stack(part, axis=1).ravel() for part in zip(*states, strict=True))
+        users = SimulatedUsers(np.repeat(people, cfg.games), minds, TableSpec(), cfg.users.variant, advisors)
         opponent = greedy_player(league.player(generation))
-        return play_games(seated, opponent, no_force, protocol, TableSpec(), serves, demonstrations)
+        return play_games(users, opponent, no_force, protocol, TableSpec(), serves, demonstrations)
 
     trials = {}
     candidates = [cfg.opponent] if cfg.opponent is not None else range(0, len(league), cfg.every)
@@ -114,12 +109,12 @@ def main(cfg: DictConfig) -> None:
         }
         for seconds, lead in leads.items()
     }
-    found = {
+    values = {
         "opponent": opponent,
         "stiffness": stable[cfg.guidance.lookahead]["stiffness"],
         "thresholds": thresholds,
         "evidence": {"opponents": trials, "stable": stable, "models": models.hashes},
     }
-    text = OmegaConf.to_yaml(OmegaConf.create(found))
-    write_text(Path(HydraConfig.get().runtime.output_dir) / "calibration.yaml", text)
+    text = OmegaConf.to_yaml(OmegaConf.create(values))
+    write_text(output_folder(cfg) / "calibration.yaml", text)
     print(text)

@@ -18,27 +18,24 @@ import time
 from functools import partial
 from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts
 from airhockey_marl.experiment.config import InputError
-from airhockey_marl.experiment.files import atomic_write, sha256, write_json
+from airhockey_marl.experiment.files import sha256, write_json, write_text
 from airhockey_marl.experiment.progress import ProgressBar
+from airhockey_marl.experiment.run_folder import card_facts, output_folder
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
-    require_counts(cfg, "threads", "participants", "demonstrations.games", "demonstrations.ticks")
-    require_counts(cfg, "seed", "opponent", least=0)
+    require_counts(cfg, "participants", "demonstrations.games", "demonstrations.ticks")
+    require_counts(cfg, "opponent", least=0)
     if cfg.people not in ("training", "study"):
         raise InputError(f"people = {cfg.people} must be training or study")
 
 
 def main(cfg: DictConfig) -> None:
     """Have people play, and write the data set."""
-    import torch
-
     from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.league.league import League
     from airhockey_marl.players.inference import greedy_player
@@ -46,7 +43,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.study.demonstrations import collect_demonstrations
     from guidance.user_model import dataset
 
-    folder, began = Path(HydraConfig.get().runtime.output_dir), time.perf_counter()
+    folder, began = output_folder(cfg), time.perf_counter()
     with report_input_errors():
         league = League.load(cfg.models.opponents)
         if cfg.opponent >= len(league):
@@ -58,7 +55,6 @@ def main(cfg: DictConfig) -> None:
         population = load_population(cfg.users)
         draw = training_people if cfg.people == "training" else partial(sample_people, cfg.participants)
         people, advisors = draw(cfg.seed, population), load_advisors(cfg.users.advisors)
-    torch.set_num_threads(cfg.threads)
     progress, table, sizes = ProgressBar(), TableSpec(), (cfg.demonstrations.games, cfg.demonstrations.ticks)
     advance, opponent = partial(progress, f"{len(people)} people play"), greedy_player(league.player(cfg.opponent))
     data = collect_demonstrations(people, opponent, *sizes, table, cfg.users.variant, advisors, cfg.seed, advance)
@@ -66,26 +62,21 @@ def main(cfg: DictConfig) -> None:
     rows = dataset.people_table(people, list(population.style.archetypes))
     dataset.write_tensors(folder / dataset.TENSORS, data)
     dataset.write_rows(folder / dataset.ROWS, data, rows["archetype"], table)
-    with atomic_write(folder / dataset.PEOPLE) as temporary:
-        rows.to_csv(temporary, index=False)
+    write_text(folder / dataset.PEOPLE, rows.to_csv(index=False))
     users = rows[["user", "archetype"]].join(dataset.summary(data, table).round(4)).to_dict("records")
     sizes = dict(zip(("users", "games", "ticks"), data.action.shape[:3], strict=True))
-    seconds = time.perf_counter() - began
-    write_json(folder / dataset.CARD, card(cfg, folder, sizes | {"tick_s": table.tick}, users, seconds))
+    content = card(cfg, folder, sizes | {"tick_s": table.tick}, users)
+    write_json(folder / dataset.CARD, content | card_facts(cfg, time.perf_counter() - began))
     print(f"{data.action.shape[:3].numel()} ticks of {len(people)} simulated people: {folder}")
 
 
-def card(cfg: DictConfig, folder: Path, sizes: dict, users: list[dict], seconds: float) -> dict:
+def card(cfg: DictConfig, folder: Path, sizes: dict, users: list[dict]) -> dict:
     """The data card: what the files hold, where they come from, how to open them."""
     from guidance.user_model.dataset import ABOUT, COLUMNS, FRAME, PEOPLE, ROWS, TENSORS
 
     files = [*sorted((folder / TENSORS).iterdir()), folder / ROWS, folder / PEOPLE]
     return {
         "data": ABOUT,
-        "command": " ".join(["airhockey collect", *HydraConfig.get().overrides.task]),
-        "date": time.strftime("%Y-%m-%d"),
-        "seed": cfg.seed,
-        "seconds": round(seconds, 1),
         "opponent_generation": cfg.opponent,
         "opponents_sha256": sha256(cfg.models.opponents),
         **sizes,
@@ -98,5 +89,4 @@ def card(cfg: DictConfig, folder: Path, sizes: dict, users: list[dict], seconds:
         "columns": {name: {"unit": unit, "meaning": what} for name, (_, unit, what) in COLUMNS.items()},
         "sha256": {str(file.relative_to(folder)): sha256(file) for file in files},
         "on_each_user": users,
-        "config": OmegaConf.to_container(cfg),
     }

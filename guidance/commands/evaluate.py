@@ -13,28 +13,22 @@ figure6.png and .svg, report.html, manifest.json (configuration, seeds, models, 
 
 import sys
 import time
-from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.experiment.command import report_input_errors, require_counts, require_device, require_numbers
-from airhockey_marl.experiment.files import atomic_write, write_json
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.files import write_json, write_text
 from airhockey_marl.experiment.progress import ProgressBar
-from airhockey_marl.experiment.run_folder import note_headline
+from airhockey_marl.experiment.run_folder import command_line, note_headline, output_folder
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
-    require_counts(cfg, "participants", "threads")
-    require_counts(cfg, "seed", least=0)
+    require_counts(cfg, "participants")
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
 
 
 def main(cfg: DictConfig) -> None:
     """Play the study, test it, and write its report."""
-    import torch
-
     from guidance.forces.condition_specs import PAPER_LETTERS
     from guidance.simulated_users import load_population, sample_people
     from guidance.simulated_users.ratings import RATINGS
@@ -47,7 +41,6 @@ def main(cfg: DictConfig) -> None:
 
     began = time.perf_counter()
     with report_input_errors():
-        require_device(cfg)
         setup = load_setup(cfg)
         people = sample_people(cfg.participants, cfg.seed, load_population(cfg.users))
         for name in cfg.users.withdrawn:
@@ -56,15 +49,12 @@ def main(cfg: DictConfig) -> None:
     if not is_balanced(cfg.participants, len(PAPER_LETTERS)):
         rows = len(williams_design(len(PAPER_LETTERS)))
         print(f"note: the order of nine conditions is balanced over multiples of {rows} people", file=sys.stderr)
-    torch.set_num_threads(cfg.threads)
     progress, histograms = ProgressBar(), Histograms(setup.conditions, len(people), cfg.guidance.spring.limit)
     trials = run_study(people, setup, seed=cfg.seed, progress=progress, on_forces=histograms.add)
     progress.close()
-    folder = Path(HydraConfig.get().runtime.output_dir)
-    with atomic_write(folder / "trials.csv") as temporary:
-        trials.to_csv(temporary, index=False)
-    command_line = " ".join(["python -m guidance.evaluate", *HydraConfig.get().overrides.task])
-    facts = manifest(cfg, file_hashes(cfg, setup.models), command_line, time.perf_counter() - began)
+    folder = output_folder(cfg)
+    write_text(folder / "trials.csv", trials.to_csv(index=False))
+    facts = manifest(cfg, file_hashes(cfg, setup.models), command_line(), time.perf_counter() - began)
     write_json(folder / "manifest.json", facts)
     group = write_report(trials, folder, facts)
     log_study(cfg, folder, group, histograms)

@@ -44,9 +44,7 @@ OF_A_SESSION = ("participant", "withdraw", "records", "window", "fullscreen", "w
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
-    require_counts(cfg, "participants", "threads", "frames_per_second")
-    require_counts(cfg, "seed", least=0)
+    require_counts(cfg, "participants", "frames_per_second")
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "breath", least=0.0, at_most=10.0)
     if not cfg.window and cfg.device.kind != "simulated":
@@ -58,13 +56,13 @@ def facts_of(cfg: DictConfig, models: Models, plan: SessionPlan) -> dict:
     from guidance.study.setup import file_hashes, manifest
 
     facts = manifest(cfg, file_hashes(cfg, models), "", 0.0)
-    who = "simulated" if cfg.device.kind == "simulated" else "people"
-    how = [facts["study_hash"], OmegaConf.to_container(cfg.device), OmegaConf.to_container(cfg.safety), who]
-    how += [dict(plan.questions), list(plan.scale), cfg.breath, plan.consent, list(map(repr, plan.conditions))]
-    digest = hashlib.sha256(json.dumps(how, sort_keys=True).encode()).hexdigest()
-    # whose session it was is none of the study's business: they may withdraw
+    people = "simulated" if cfg.device.kind == "simulated" else "people"
+    content = [facts["study_hash"], OmegaConf.to_container(cfg.device), OmegaConf.to_container(cfg.safety), people]
+    content += [dict(plan.questions), list(plan.scale), cfg.breath, plan.consent, list(map(repr, plan.conditions))]
+    digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+    # without the participant of this session, who may withdraw
     config = {key: value for key, value in facts["config"].items() if key not in OF_A_SESSION}
-    return facts | {"study_hash": digest, "participants": who, "command": "airhockey lab", "config": config}
+    return facts | {"study_hash": digest, "participants": people, "command": "airhockey lab", "config": config}
 
 
 def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
@@ -95,8 +93,6 @@ def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
 
 def main(cfg: DictConfig) -> None:
     """Hold a session with one person, or delete what there is of them."""
-    import torch
-
     from airhockey_marl.envs.physics import TableSpec
     from guidance.display.window import MIN_WIDTH, Window
     from guidance.haptics.open_device import DEVICES, device_session
@@ -122,13 +118,12 @@ def main(cfg: DictConfig) -> None:
         plan, limits = plan_of(cfg, models), construct(SafetyLimits, cfg.safety, "safety")
         people = sample_people(cfg.participants, cfg.seed, population)
         facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else NullEvents()
-    torch.set_num_threads(cfg.threads)
     clock = WallClock() if cfg.window else SimulatedClock()
     with ExitStack() as room:
         window = opened = simulated = None
         if cfg.window:
-            how = cfg.width, cfg.frames_per_second, clock, KEYS
-            window = room.enter_context(Window("Air hockey", TableSpec(), *how, shows_force=False))
+            screen = Window("Air hockey", TableSpec(), cfg.width, cfg.frames_per_second, clock, KEYS, shows_force=False)
+            window = room.enter_context(screen)
         if cfg.device.kind != "simulated":  # nobody is enrolled, and no study begun, before there is something to hold
             opened = room.enter_context(device_session(device, limits))
         with report_input_errors():
@@ -144,9 +139,9 @@ def main(cfg: DictConfig) -> None:
             window.on_pointer, window.on_disconnect = opened.on_pointer, opened.on_disconnect
             if cfg.fullscreen:
                 window.toggle_fullscreen()
-        seated = (lambda game: simulated.begin_game(seat, game)) if simulated else (lambda game: None)
+        on_game = (lambda game: simulated.begin_game(seat, game)) if simulated else (lambda game: None)
         with suppress(Quit), quit_on_signals():
-            Session(plan, participant, seat, window or simulated, events, seated).run()
+            Session(plan, participant, seat, window or simulated, events, on_game).run()
         if participant.consent is None:
             records.withdraw(participant.label, counted=False)
             print(f"{participant.label} does not take part; nothing of theirs is kept")

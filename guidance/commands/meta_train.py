@@ -18,14 +18,13 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydra.core.hydra_config import HydraConfig
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig
 
-from airhockey_marl.experiment.command import report_input_errors, require_counts, require_device, require_numbers
-from airhockey_marl.experiment.config import InputError, resumed_config
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.config import STATE_FILE, InputError
 from airhockey_marl.experiment.files import sha256, write_json
 from airhockey_marl.experiment.progress import ProgressBar
-from airhockey_marl.experiment.run_folder import lock_run_folder, note_headline
+from airhockey_marl.experiment.run_folder import card_facts, lock_run_folder, note_headline, output_folder
 
 if TYPE_CHECKING:
     from torch import nn
@@ -44,16 +43,12 @@ LAYOUT = {
     },
 }
 
-STATE = "state.safetensors"
-JUDGE = "after_ua_loss"  # of the scores
 COMPILERS = ("g++", "clang++")  # that torch.compile looks for
 HELD_OUT_SEED = 1_000_003  # the card's people: neither the training users nor those of a study with a small seed
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
-    require_counts(cfg, "threads", "maml.epochs", "maml.block", "supervised.epochs", "supervised.batch_size")
-    require_counts(cfg, "seed", least=0)
+    require_counts(cfg, "maml.epochs", "maml.block", "supervised.epochs", "supervised.batch_size")
     require_counts(cfg, "demonstrations.games", least=2)  # one to adapt to and one to validate on
     require_counts(cfg, "demonstrations.ticks", least=cfg.maml.block)
     require_numbers(cfg, "ahead", least=0.0, at_most=1.0)
@@ -64,18 +59,12 @@ def check(cfg: DictConfig) -> None:
 
 def main(cfg: DictConfig) -> float:
     """Train both; for a sweeper, the loss of Eq. 3 after UA on people that the model has not seen."""
-    with report_input_errors():
-        if cfg.resume is not None:
-            cfg = resumed_config(Path(cfg.resume), STATE, cfg)
-        check(cfg)
-        require_device(cfg)
-    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    with lock_run_folder(folder, "run"):
-        return run(cfg, folder)
+    with lock_run_folder(output_folder(cfg)):
+        return train(cfg, output_folder(cfg))
 
 
-def run(cfg: DictConfig, folder: Path) -> float:
-    """Have people play, train both models on it, and write them and how they predict others; returns the `JUDGE`."""
+def train(cfg: DictConfig, folder: Path) -> float:
+    """Have people play, train both models on it, and write them and how they predict others; see `main`."""
     import torch
 
     from airhockey_marl.envs.physics import TableSpec
@@ -90,11 +79,10 @@ def run(cfg: DictConfig, folder: Path) -> float:
 
     with report_input_errors():
         population = load_population(cfg.users)
-        how = {"table": TableSpec(), "variant": cfg.users.variant, "advisors": load_advisors(cfg.users.advisors)}
-        play = partial(collect_demonstrations, opponent=load_opponent(cfg), **cfg.demonstrations, **how)
+        users = {"table": TableSpec(), "variant": cfg.users.variant, "advisors": load_advisors(cfg.users.advisors)}
+        play = partial(collect_demonstrations, opponent=load_opponent(cfg), **cfg.demonstrations, **users)
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
-    torch.set_num_threads(cfg.threads)
     progress = ProgressBar()
     people = training_people(cfg.seed, population)
     data = play(people, seed=cfg.seed, progress=partial(progress, "nine people play"))
@@ -110,10 +98,10 @@ def run(cfg: DictConfig, folder: Path) -> float:
     facts = {"seed": cfg.seed, "ahead_s": cfg.ahead}
     save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
     save_user_model(folder / "user.safetensors", user, facts)
-    write_json(folder / "card.json", card(cfg, scores, seconds))
+    write_json(folder / "card.json", card(cfg, scores) | card_facts(cfg, seconds))
     log_final_scores(folder, cfg, scores)
-    note_headline(folder, f"loss after UA {scores[JUDGE]:.3g}, error {scores['after_ua_rmse']:.3g}")
-    return scores[JUDGE]
+    note_headline(folder, f"loss after UA {scores['after_ua_loss']:.3g}, error {scores['after_ua_rmse']:.3g}")
+    return scores["after_ua_loss"]
 
 
 def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, data: Demonstrations) -> float:
@@ -138,7 +126,7 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
     done, seconds = dict.fromkeys(models, 0), 0.0
     if cfg.resume is not None:
         with report_input_errors():
-            facts = checkpoint.load(folder / STATE, {"done": dict, "seconds": float})
+            facts = checkpoint.load(folder / STATE_FILE, {"done": dict, "seconds": float})
         done, seconds = facts["done"], facts["seconds"]
     began = time.perf_counter() - seconds
     for name, train in (("maml", train_maml), ("supervised", train_supervised)):
@@ -148,7 +136,7 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
             log_run_header(board, cfg, TAGS, LAYOUT)
         training = train(models[name], data, **cfg[name], optimizer=optimizers[name], done=done[name])
         bar = tqdm(training, name, cfg[name].epochs, initial=done[name], unit="epoch", file=sys.stderr, disable=None)
-        with name_divergence(f"{name} training", folder / STATE):
+        with name_divergence(f"{name} training", folder / STATE_FILE):
             for metrics in bar:
                 epoch = metrics.pop("epoch")
                 for key, value in metrics.items():
@@ -156,21 +144,16 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
                 board.flush()
                 bar.set_postfix({key: f"{value:.3f}" for key, value in metrics.items()})
                 done[name], seconds = epoch, time.perf_counter() - began
-                checkpoint.save(folder / STATE, {"done": done, "seconds": seconds})
+                checkpoint.save(folder / STATE_FILE, {"done": done, "seconds": seconds})
         board.close()
     return seconds
 
 
-def card(cfg: DictConfig, scores: dict[str, float], seconds: float) -> dict:
+def card(cfg: DictConfig, scores: dict[str, float]) -> dict:
     """The model card: how the models were made, and how they predict."""
     return {
         "models": "user prediction models (section 3.2.3): meta.safetensors for UA, user.safetensors without",
-        "command": " ".join(["airhockey meta_train", *HydraConfig.get().overrides.task]),
-        "date": time.strftime("%Y-%m-%d"),
-        "seed": cfg.seed,
-        "seconds": round(seconds, 1),
         "data": f"nine simulated training users, {cfg.demonstrations.games} x {cfg.demonstrations.ticks} ticks each",
         "opponents_sha256": sha256(cfg.models.opponents),
         "on_nine_others": {name: round(value, 4) for name, value in scores.items()},
-        "config": OmegaConf.to_container(cfg),
     }

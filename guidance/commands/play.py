@@ -9,14 +9,12 @@ folder, for every part played under one condition, a table with a row per tick (
 (`.json`). `airhockey watch run=<that folder>` films them.
 """
 
-from pathlib import Path
-
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.registry import construct
+from airhockey_marl.experiment.run_folder import output_folder
 
 KEYS = {  # those that choose a condition come before them
     "a": "make the user model yours, from what you have played without guidance",
@@ -31,9 +29,7 @@ KEYS = {  # those that choose a condition come before them
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
-    require_counts(cfg, "frames_per_second", "threads")
-    require_counts(cfg, "seed", least=0)
+    require_counts(cfg, "frames_per_second")
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "breath", least=0.0, at_most=10.0)
     if cfg.seconds is not None:
@@ -42,8 +38,6 @@ def check(cfg: DictConfig) -> None:
 
 def main(cfg: DictConfig) -> None:
     """Open the window and the device, and play."""
-    import torch
-
     from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.league.league import League
     from guidance.display.window import MIN_WIDTH, Window
@@ -75,8 +69,7 @@ def main(cfg: DictConfig) -> None:
         if cfg.device.kind == "simulated":
             people, advisors = sample_people(1, cfg.seed, load_population(cfg.users)), load_advisors(cfg.users.advisors)
             person = SimulatedUsers(people, minds, TableSpec(), cfg.users.variant, advisors)
-    torch.set_num_threads(cfg.threads)
-    folder, clock, table = Path(HydraConfig.get().runtime.output_dir), WallClock(), TableSpec()
+    folder, clock, table = output_folder(cfg), WallClock(), TableSpec()
     keys = {key: f"({condition.letter}) {condition.label}" for key, condition in conditions.items()} | KEYS
     with (
         Window("Air hockey", table, cfg.width, cfg.frames_per_second, clock, keys) as window,
@@ -85,10 +78,10 @@ def main(cfg: DictConfig) -> None:
         window.overlay = cfg.overlay
         window.on_pointer, window.on_disconnect = opened.on_pointer, opened.on_disconnect
         seat = RealTimePlayer(opened.hand, window, clock, table.tick, cfg.breath, person)
-        how = cfg.guidance.lookahead, protocol.round_seconds
-        play = FreePlay(conditions, models, opponents, cfg.opponent, *how, seat, serves, folder)
+        times = cfg.guidance.lookahead, protocol.round_seconds
+        play = FreePlay(conditions, models, opponents, cfg.opponent, *times, seat, serves, folder)
         with quit_on_signals():
             play.run(begin_with, cfg.seconds)
-    shown = play.summary()[["rounds", "win_rate", "mean_smash_speed", "defense_rate", "mean_disagreement"]]
-    print(shown.to_string(float_format="%.2f", na_rep="–"))
+    columns = ["rounds", "win_rate", "mean_smash_speed", "defense_rate", "mean_disagreement"]
+    print(play.summary()[columns].to_string(float_format="%.2f", na_rep="–"))
     print(f"\nagain: airhockey watch run={folder}")

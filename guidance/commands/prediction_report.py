@@ -13,7 +13,6 @@ from collections.abc import Mapping
 from functools import partial
 from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
@@ -21,6 +20,7 @@ from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import sha256, write_json, write_text
 from airhockey_marl.experiment.html import template
 from airhockey_marl.experiment.progress import ProgressBar
+from airhockey_marl.experiment.run_folder import output_folder
 
 NAMES = {
     "persistence": "the paddle's place",
@@ -32,10 +32,8 @@ NAMES = {
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
-    require_counts(cfg, "threads", "demonstrations.ticks")
+    require_counts(cfg, "demonstrations.ticks")
     require_counts(cfg, "participants", "demonstrations.games", least=2)
-    require_counts(cfg, "seed", least=0)
     for name, least in (("ahead", 0.0), ("minutes", 0.01), ("steps", 1)):
         if not cfg[name] or not all(isinstance(value, int | float) and value >= least for value in cfg[name]):
             raise InputError(f"{name} = {list(cfg[name])} must be numbers of at least {least}")
@@ -44,7 +42,6 @@ def check(cfg: DictConfig) -> None:
 def main(cfg: DictConfig) -> None:
     """Have people play, predict them, and write the report."""
     import numpy as np
-    import torch
 
     from airhockey_marl.envs.physics import TableSpec
     from guidance.simulated_users import load_advisors, load_population, sample_people
@@ -62,9 +59,8 @@ def main(cfg: DictConfig) -> None:
         advisors = load_advisors(cfg.users.advisors)
         models = load_models(cfg)
         opponent = load_opponent(cfg)
-    torch.set_num_threads(cfg.threads)
-    progress, how = ProgressBar(), (table, cfg.users.variant, advisors, cfg.seed)
-    data = collect_demonstrations(people, opponent, *sizes, *how, partial(progress, "people play"))
+    progress, game = ProgressBar(), (table, cfg.users.variant, advisors, cfg.seed)
+    data = collect_demonstrations(people, opponent, *sizes, *game, partial(progress, "people play"))
     progress("predictions", 0.0)
     results = {
         "ahead": prediction.errors_ahead(models, data, list(cfg.ahead), table),
@@ -78,7 +74,7 @@ def main(cfg: DictConfig) -> None:
     progress.close()
     hashes = {name: sha256(cfg.models[name]) for name in cfg.models}
     facts = {"people": len(people), "models": hashes, "config": OmegaConf.to_container(cfg, resolve=True)}
-    write(Path(HydraConfig.get().runtime.output_dir), results, facts)
+    write(output_folder(cfg), results, facts)
 
 
 def write(folder: Path, results: Mapping, facts: Mapping) -> None:

@@ -17,55 +17,45 @@ replicate.html, manifest.json.
 
 import time
 from importlib.util import find_spec
-from pathlib import Path
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
-from airhockey_marl.experiment.command import report_input_errors, require_counts, require_device, require_numbers
-from airhockey_marl.experiment.config import InputError, resumed_config
-from airhockey_marl.experiment.files import atomic_write, write_json
+from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.config import InputError
+from airhockey_marl.experiment.files import write_json, write_text
 from airhockey_marl.experiment.parallel import LOCAL_CLUSTER
 from airhockey_marl.experiment.progress import ProgressBar
-from airhockey_marl.experiment.run_folder import lock_run_folder, note_headline
+from airhockey_marl.experiment.run_folder import command_line, lock_run_folder, note_headline, output_folder
+
+STATE_FILE = "manifest.json"  # written when a run begins
 
 
 def main(cfg: DictConfig) -> None:
     """Play the studies that are missing, and write the report."""
     import pandas as pd
-    import torch
 
     from guidance.simulated_users.force_response import check_variant
     from guidance.statistics.replication_report import summarize
-    from guidance.study.replication import STATE, Studies, batches_of, on_ray, one_by_one
+    from guidance.study.replication import Studies, batches_of, on_ray, one_by_one
     from guidance.study.setup import file_hashes, frozen_study, manifest
 
     with report_input_errors():
-        if cfg.resume is not None:
-            cfg = resumed_config(Path(cfg.resume), STATE, cfg)
-        check(cfg)
-        require_device(cfg)
         for variant in cfg.sensitivity.variants:
             check_variant(variant)
         studies = Studies(cfg)
-    torch.set_num_threads(cfg.threads)
-    folder = Path(cfg.resume or HydraConfig.get().runtime.output_dir)
-    with lock_run_folder(folder, "run"):
-        command_line = " ".join(["airhockey replicate", *HydraConfig.get().overrides.task])
-        facts = manifest(cfg, file_hashes(cfg, studies.setup.models), command_line, 0.0)
+    folder = output_folder(cfg)
+    with lock_run_folder(folder):
+        facts = manifest(cfg, file_hashes(cfg, studies.setup.models), command_line(), 0.0)
         facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
-        write_json(folder / STATE, facts)
-        with atomic_write(folder / "factors.csv") as temporary:
-            studies.factors.to_csv(temporary, index_label="study")
-
+        write_json(folder / STATE_FILE, facts)
+        write_text(folder / "factors.csv", studies.factors.to_csv(index_label="study"))
         progress, began = ProgressBar(), time.perf_counter()
         missing = [batch for batch in batches_of(cfg) if not batch.file(folder).is_file()]
-        played = on_ray(cfg, missing, progress) if cfg.ray else one_by_one(studies, missing, progress)
-        for batch, trials in played:
-            with atomic_write(batch.file(folder)) as temporary:
-                trials.to_csv(temporary, index=False)
+        results = on_ray(cfg, missing, progress) if cfg.ray else one_by_one(studies, missing, progress)
+        for batch, trials in results:
+            write_text(batch.file(folder), trials.to_csv(index=False))
         progress.close()
-        write_json(folder / STATE, facts | {"seconds": round(time.perf_counter() - began, 1)})
+        write_json(folder / STATE_FILE, facts | {"seconds": round(time.perf_counter() - began, 1)})
         print(summarize(folder, cfg, facts, studies.factors))
         outcomes = pd.read_csv(folder / "studies.csv")
         own = outcomes.loc[outcomes["group"] == "replicates", "replicated"]
@@ -75,10 +65,9 @@ def main(cfg: DictConfig) -> None:
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
-    require_counts(cfg, "together", "threads")
+    require_counts(cfg, "together")
     require_counts(cfg, "participants", least=3)  # fewer cannot be tested
-    require_counts(cfg, "n", "seed", "controls", "sensitivity.points", least=0)
+    require_counts(cfg, "n", "controls", "sensitivity.points", least=0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "sensitivity.largest", above=1.0)
     if not cfg.n and not (cfg.sensitivity.points and cfg.sensitivity.variants):

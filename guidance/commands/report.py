@@ -8,13 +8,12 @@ Writes tests.csv, figure6.png and .svg, and report.html; with `beside` also besi
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors
+from airhockey_marl.experiment.run_folder import output_folder
 
 if TYPE_CHECKING:
     from guidance.statistics.groups import Group
@@ -26,16 +25,16 @@ def main(cfg: DictConfig) -> None:
     from guidance.statistics.paper import count_findings
     from guidance.statistics.report import screen_table, write_report
 
-    folder = Path(cfg.out or HydraConfig.get().runtime.output_dir)
+    folder = output_folder(cfg)
     with report_input_errors():
-        group = gather(_places(cfg.runs), cfg.mixed)
+        group = gather(cfg.runs, cfg.mixed)
         try:
-            beside = None if cfg.beside is None else gather(_places(cfg.beside), cfg.mixed)
+            beside = None if cfg.beside is None else gather(cfg.beside, cfg.mixed)
         except ValueError as error:
             raise ValueError(f"beside: {error}") from error
         if beside and (same := set(_files(group).values()) & set(_files(beside).values())):
-            named = ", ".join(file for file, digest in _files(beside).items() if digest in same)
-            raise ValueError(f"beside = {cfg.beside} has the same games as runs = {cfg.runs}: {named}")
+            files = ", ".join(file for file, digest in _files(beside).items() if digest in same)
+            raise ValueError(f"beside = {cfg.beside} has the same games as runs = {cfg.runs}: {files}")
     write_report(group.trials, folder, group.manifest, beside)
     print(screen_table(group.trials, group.people, group.declared))
     counts = count_findings(group.comparison)
@@ -46,10 +45,6 @@ def main(cfg: DictConfig) -> None:
         everything = count_findings(beside.comparison).loc["all"]
         print(f"beside: {everything.replicated} replicate ({everything.tested} tested), {everything.reversed} reversed")
     print(f"report: {folder / 'report.html'}")
-
-
-def _places(runs: Any) -> list[str]:
-    return [runs] if isinstance(runs, str) else list(runs)
 
 
 def _files(group: Group) -> dict[str, str]:

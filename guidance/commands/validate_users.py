@@ -11,14 +11,13 @@ its run folder: speeds.png (speed profiles of reaches), push.png (displacement o
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
-from airhockey_marl.experiment.files import atomic_write
+from airhockey_marl.experiment.files import write_text
+from airhockey_marl.experiment.run_folder import output_folder
 
 if TYPE_CHECKING:
     import numpy as np
@@ -30,17 +29,13 @@ SKILL_TRIAL = 3000
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
-    require_counts(cfg, "threads")
     require_counts(cfg, "laboratory", "per_style", least=2)
-    require_counts(cfg, "seed", least=0)
     require_numbers(cfg, "play_seconds", least=10.0)
 
 
 def main(cfg: DictConfig) -> None:
     """Measure the people, print the table, and draw the figures."""
     import numpy as np
-    import torch
 
     from airhockey_marl.envs.physics import TableSpec
     from guidance.simulated_users import load_advisors, load_population, sample_people
@@ -56,18 +51,17 @@ def main(cfg: DictConfig) -> None:
         population = load_population(cfg.users)
         advisors = load_advisors(cfg.users.advisors)
         opponent = load_opponent(cfg)
-    torch.set_num_threads(cfg.threads)
     people = sample_people(cfg.laboratory, cfg.seed, population)
     results, data = in_the_laboratory(people, cfg.users.variant, cfg.seed)
 
     table, names = TableSpec(), list(population.style.archetypes)
     sizes = {"games": 2, "ticks": round(cfg.play_seconds / table.tick)}
-    how = {"table": table, "variant": cfg.users.variant, "advisors": advisors}
+    users = {"table": table, "variant": cfg.users.variant, "advisors": advisors}
 
     def games(seed: int) -> list[Demonstrations]:
         """Two games of each of `per_style` people of each archetype."""
         groups = [sample_people(cfg.per_style, seed, population, name) for name in names]
-        return [collect_demonstrations(group, opponent, **sizes, **how, seed=seed) for group in groups]
+        return [collect_demonstrations(group, opponent, **sizes, **users, seed=seed) for group in groups]
 
     known, unseen = games(cfg.seed + 100), games(cfg.seed + 200)
     speeds = [hand_speed(data.observation, data.action, table).numpy().ravel() for data in unseen]
@@ -75,9 +69,8 @@ def main(cfg: DictConfig) -> None:
     results |= style_measures([d.observation for d in known], [d.observation for d in unseen], table)
     results |= by_skill(population, 6 * cfg.per_style, opponent, cfg.users.variant, advisors, cfg.seed)
     rows, play = as_table(results), {name: d.observation[:, 0] for name, d in zip(names, unseen, strict=True)}
-    folder = Path(HydraConfig.get().runtime.output_dir)
-    with atomic_write(folder / "human_measures.csv") as temporary:
-        rows.to_csv(temporary, index=False)
+    folder = output_folder(cfg)
+    write_text(folder / "human_measures.csv", rows.to_csv(index=False))
     pushed = {name: push_response(people, name, seed=cfg.seed) for name in Variant.__members__}
     draw_speeds(data, folder / "speeds.png")
     draw_push(pushed, folder / "push.png")

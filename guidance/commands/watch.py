@@ -16,13 +16,13 @@ from pathlib import Path
 from string import ascii_lowercase
 from typing import TYPE_CHECKING, Any
 
-from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.config import InputError
-from airhockey_marl.experiment.files import atomic_write
+from airhockey_marl.experiment.files import atomic_write, write_text
 from airhockey_marl.experiment.progress import ProgressBar
+from airhockey_marl.experiment.run_folder import output_folder
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,9 +32,7 @@ MOST_SKILL = 4.0  # standard deviations
 
 
 def check(cfg: DictConfig) -> None:
-    """Raise a ValueError for values that cannot be used."""
-    require_counts(cfg, "threads", "frames_per_second")
-    require_counts(cfg, "seed", least=0)
+    require_counts(cfg, "frames_per_second")
     require_numbers(cfg, "seconds", at_most=LONGEST)
     require_numbers(cfg, "start", least=0.0)
     require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
@@ -42,8 +40,6 @@ def check(cfg: DictConfig) -> None:
 
 def main(cfg: DictConfig) -> None:
     """Film the game, and print how it ended."""
-    import torch
-
     from airhockey_marl.envs.physics import TableSpec
     from guidance.display.film import MIN_WIDTH, FilmInfo, draw_sheet, save_film
     from guidance.sessions.tick_log import load_recorded_part
@@ -57,10 +53,9 @@ def main(cfg: DictConfig) -> None:
             raise InputError(f"frames_per_second = {cfg.frames_per_second} must divide {ticks_per_second}")
         require_numbers(cfg, "speed", at_most=ticks_per_second / cfg.frames_per_second)
         check_variant(cfg.users.variant)
-        again = None if cfg.run is None else load_recorded_part(Path(cfg.run), cfg.game, cfg.start, cfg.seconds)
-    torch.set_num_threads(cfg.threads)
+        recording = None if cfg.run is None else load_recorded_part(Path(cfg.run), cfg.game, cfg.start, cfg.seconds)
     progress = ProgressBar()
-    ticks, facts = again if again is not None else simulated(cfg, progress)
+    ticks, facts = recording or simulated(cfg, progress)
     info = FilmInfo(
         table=table,
         title=facts["title"],
@@ -71,15 +66,14 @@ def main(cfg: DictConfig) -> None:
         width=cfg.width,
         is_simulated="wanted_x" in ticks,
     )
-    folder = Path(HydraConfig.get().runtime.output_dir)
-    with atomic_write(folder / "watch.csv") as temporary:
-        ticks.to_csv(temporary, index=False, float_format="%.6g")
+    folder = output_folder(cfg)
+    write_text(folder / "watch.csv", ticks.to_csv(index=False, float_format="%.6g"))
     with atomic_write(folder / "watch.png") as temporary:
         draw_sheet(ticks, info).save(temporary)
     every = round(1 / (table.tick * cfg.frames_per_second))
-    shown = 10 * round(100 * every * table.tick / cfg.speed)  # ms; a GIF counts in hundredths of a second
+    duration = 10 * round(100 * every * table.tick / cfg.speed)  # ms; a GIF counts in hundredths of a second
     with atomic_write(folder / "watch.gif") as temporary:
-        save_film(temporary, ticks, info, every, shown, partial(progress, "film"))
+        save_film(temporary, ticks, info, every, duration, partial(progress, "film"))
     progress.close()
     last = ticks.iloc[-1]
     print(f"{info.title}: {last['won']:.0f} to {last['lost']:.0f} after {last['time_s']:g} s")

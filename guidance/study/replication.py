@@ -26,7 +26,6 @@ from guidance.study.study import Cohort, run_studies
 # Groups of studies: replicates, two negative controls of UA, and sensitivity studies by the name of their variant.
 REPLICATES, SHUFFLED_ADAPTATION, ONE_PLAYSTYLE = "replicates", "swapped", "alike"
 
-STATE = "manifest.json"  # written when a run begins
 UTILITY = "utility_weights."  # followed by one of `UtilityRow`
 
 

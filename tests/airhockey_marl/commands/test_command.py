@@ -189,7 +189,7 @@ def test_an_installed_wheel_works_in_any_folder_without_anything_writable_but_th
             done = subprocess.run(command, cwd=place, env=variables, capture_output=True, text=True, check=False)
             assert done.returncode == 0, done.stderr
             notes = [line for line in done.stderr.splitlines() if line.startswith("note: compiled code is not kept")]
-            assert len(notes) == 1
+            assert len(notes) == (arguments != ["runs"])  # which compiles nothing
     finally:
         subprocess.run(["chmod", "-R", "u+w", environment], check=True)
     assert "done" in done.stdout and list(place.glob("outputs/train/*/*/league.safetensors"))

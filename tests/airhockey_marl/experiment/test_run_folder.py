@@ -28,17 +28,17 @@ def one_line(done: subprocess.CompletedProcess, *parts: str) -> None:
 def test_a_folder_that_is_in_use_is_refused_and_given_free_with_its_process(tmp_path):
     hold = "import sys, time; from pathlib import Path; "
     hold += "from airhockey_marl.experiment.run_folder import lock_run_folder\n"
-    hold += "with lock_run_folder(Path(sys.argv[1]), 'run'):\n    print('held', flush=True)\n    time.sleep(600)"
+    hold += "with lock_run_folder(Path(sys.argv[1])):\n    print('held', flush=True)\n    time.sleep(600)"
     holder = subprocess.Popen([sys.executable, "-c", hold, str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE)
     try:
         assert holder.stdout.readline() == b"held\n"
         refused = rf"run = {tmp_path} is in use by process {holder.pid}; one at a time can have it"
-        with pytest.raises(InputError, match=refused), lock_run_folder(tmp_path, "run"):
+        with pytest.raises(InputError, match=refused), lock_run_folder(tmp_path):
             pass
     finally:
         holder.send_signal(signal.SIGKILL)
         holder.communicate()
-    with lock_run_folder(tmp_path, "run"):
+    with lock_run_folder(tmp_path):
         assert (tmp_path / ".lock").read_text() == f"{os.getpid()}\n"
 
 
@@ -46,7 +46,7 @@ def test_what_a_killed_process_left_half_written_is_removed_and_nothing_else(tmp
     half, kept = tmp_path / "deep" / ".league.safetensors.ab12_z9x.safetensors", tmp_path / ".hidden.yaml"
     write_text(half, "half of the n")
     write_text(kept, "mine")
-    with lock_run_folder(tmp_path, "run"):
+    with lock_run_folder(tmp_path):
         assert not half.exists() and kept.exists()
 
 
@@ -81,7 +81,7 @@ def state_of(run: Path) -> dict[str, bytes]:
 def test_a_training_that_is_gone_on_with_twice_is_refused_while_it_runs(trained, tmp_path):
     run = copy_of(trained, tmp_path / "run")
     before = state_of(run)
-    with lock_run_folder(run, "run"):
+    with lock_run_folder(run):
         done = start("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log")
     assert done.returncode == 2
     one_line(done, f"run = {run} is in use by process {os.getpid()}; one at a time can have it")
