@@ -16,11 +16,12 @@ from importlib.metadata import entry_points
 from importlib.util import find_spec
 from pathlib import Path
 
-from airhockey_marl.experiment.command import Command, print_error, run
+from airhockey_marl.experiment.command import Command, print_error, run, tolerant_output
 
 GROUP = "airhockey.commands"
 
 
+@tolerant_output()
 def main(argv: Sequence[str] | None = None, packages: Iterable[str] = ()) -> None:
     """List the commands, or run the one that the first argument names.
 

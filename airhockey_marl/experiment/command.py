@@ -16,7 +16,7 @@ import tempfile
 import traceback
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, redirect_stderr
+from contextlib import contextmanager, redirect_stderr, suppress
 from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
@@ -91,7 +91,7 @@ class Command:
 
     def __call__(self, cfg: DictConfig) -> float | None:
         """Run one job; in a sweep the others go on if it fails, so that it says here and now why."""
-        with redirect_stderr(_terminal or sys.stderr):
+        with tolerant_output(), redirect_stderr(_terminal or sys.stderr):
             try:
                 OmegaConf.to_container(cfg, resolve=True)  # finds a broken reference now
                 provide_numba_cache()
@@ -143,6 +143,49 @@ class Command:
         return expanded
 
 
+class _TolerantStream:
+    """A text stream that replaces characters which its encoding lacks, and drops what can no longer be written."""
+
+    def __init__(self, stream: Any) -> None:
+        self._stream = stream
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="replace")
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._stream, name)
+
+    def write(self, text: str) -> int:
+        with self._dropped_if_closed():
+            self._stream.write(text)
+        return len(text)
+
+    def flush(self) -> None:
+        with self._dropped_if_closed():
+            self._stream.flush()
+
+    @contextmanager
+    def _dropped_if_closed(self) -> Iterator[None]:
+        try:
+            yield
+        except OSError:  # nobody reads the pipe any more, or the disk is full; what is still buffered goes nowhere, too
+            with suppress(OSError, ValueError):
+                os.dup2(os.open(os.devnull, os.O_WRONLY), self._stream.fileno())
+
+
+@contextmanager
+def tolerant_output() -> Iterator[None]:
+    """Within the block, what is printed cannot make a command fail that has done its work."""
+    streams = sys.stdout, sys.stderr
+    sys.stdout, sys.stderr = (stream and _TolerantStream(stream) for stream in streams)
+    try:
+        yield
+    finally:
+        for stream in filter(None, (sys.stdout, sys.stderr)):
+            stream.flush()
+        sys.stdout, sys.stderr = streams
+
+
+@tolerant_output()
 def run(module: str, argv: Sequence[str] | None = None) -> None:
     """Run a command with the arguments, those of the process by default.
 
@@ -158,14 +201,15 @@ def run(module: str, argv: Sequence[str] | None = None) -> None:
             print(command.manual())
             return
         options = _parse_options(arguments)
-        # Hydra takes overrides in one block only
-        arguments = [argument for argument in arguments if argument not in options.overrides] + options.overrides
+        overrides = options.overrides
         if not options.shell_completion:
             if complaint := missing_extra(arguments):
                 raise InputError(complaint)
             if RAY in {argument.lstrip("+") for argument in arguments}:
                 sys.path.append(str(LAUNCHERS))  # Hydra looks for plugins below folders `hydra_plugins`, nowhere else
-            check_overrides(command.conf, command.name, options.overrides)
+            overrides = check_overrides(command.conf, command.name, overrides)
+        # Hydra takes overrides in one block only
+        arguments = [argument for argument in arguments if argument not in options.overrides] + overrides
     except InputError as error:
         _fail(str(error), 2)
     wants_trace = os.environ.get("HYDRA_FULL_ERROR") == "1"

@@ -5,6 +5,7 @@ A run folder may be anybody's, and a few lines of yaml can mean a billion: alias
 """
 
 import json
+import re
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -17,7 +18,7 @@ from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.override_parser.types import ChoiceSweep, Glob, IntervalSweep, Override, QuotedString, RangeSweep
 from hydra.errors import HydraException
-from omegaconf import DictConfig, OmegaConf
+from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import AliasEvent, YAMLError
 
@@ -29,6 +30,11 @@ ROOT = Path(__file__).resolve().parents[2]
 _INSTALLED = Path(__file__).resolve().parents[1] / "conf"  # in a source tree a link to ROOT / "conf"
 CONF = _INSTALLED.resolve() if _INSTALLED.is_dir() else ROOT / "conf"
 COMMAND_GROUPS = ("preset", "sweep")  # with a folder for each command, conf/preset/<command>/
+# keys of names and paths for which the yaml has no text: nothing, or an empty list
+TEXT_KEYS = {
+    *("participant", "resume", "run", "runs", "game", "beside", "out", "by", "command", "status", "ray", "address"),
+    *("beyond", "metrics", "scripted_players", "partition", "account"),
+}
 KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}  # of simple values
 
 # ${project:path} in a yaml is a path beside the packages, in a source tree as where they are installed
@@ -63,8 +69,13 @@ def also_search(conf: Path) -> list[str]:
     return [] if conf == CONF else [f"hydra.searchpath=['{CONF}']"]
 
 
-def check_overrides(conf: Path, name: str, arguments: Sequence[str]) -> None:
-    """Compare what is typed for conf/<name>.yaml with what it has: groups, their options, keys and types of values."""
+def check_overrides(conf: Path, name: str, arguments: Sequence[str]) -> list[str]:
+    """Compare what is typed for conf/<name>.yaml with what it has: groups, their options, keys and types of values.
+
+    Returns:
+        The arguments, with the text of names and paths quoted where Hydra would read a number: `participant=1_01` is
+        not 101.
+    """
     overrides = [_parse(argument) for argument in arguments]
     with initialize_config_dir(str(conf), version_base="1.3"):
         loader, own = GlobalHydra.instance().config_loader(), group_options(conf, name)
@@ -83,12 +94,14 @@ def check_overrides(conf: Path, name: str, arguments: Sequence[str]) -> None:
         except (HydraException, OmegaConfBaseException) as error:
             raise InputError(describe(error)) from error
     tree = OmegaConf.to_container(cfg)
-    for override in keys:
+    typed = {override.input_line: _quote_text(override, cfg) for override in keys}
+    for override in typed.values():
         _check_key(override, tree, [*own])
     given = {override.key_or_group for override in keys}
     for key, value in flatten_settings({key: value for key, value in tree.items() if key != "hydra"}).items():
         if value == "???" and not any(key == one or key.startswith(f"{one}.") for one in given):
             raise InputError(f"{key} must be chosen: {key}=...")
+    return [typed[argument].input_line if argument in typed else argument for argument in arguments]
 
 
 def _parse(argument: str) -> Override:
@@ -100,6 +113,34 @@ def _parse(argument: str) -> Override:
     if not override.key_or_group:
         raise InputError(f"{argument} must be key=value")
     return override
+
+
+def _quote_text(override: Override, cfg: DictConfig) -> Override:
+    """The override with the elements of its value quoted that Hydra takes for something else than the text they are."""
+    start, equals, value = override.input_line.partition("=")
+    if not equals or not _holds_text(override.key_or_group, cfg) or "(" in value:
+        return override
+    may_be_null = not OmegaConf.is_missing(cfg, override.key_or_group)
+
+    def quote(match: re.Match[str]) -> str:
+        text = match[0].strip()
+        read = _parse(f"x={text}").value() if text else ""
+        return f"'{text}'" if isinstance(read, int | float) or (read is None and not may_be_null) else match[0]
+
+    # an element of a list or of a sweep, unless it is quoted
+    value = re.sub(r"""(?:(?<=[\[,])|^)[^\[\],{}'"\\$]+(?=[\],]|$)""", quote, value)
+    return _parse(f"{start}={value}")
+
+
+def _holds_text(key: str, cfg: DictConfig) -> bool:
+    """Whether the value of a key is a name, a path or another text, or a list of these."""
+    try:
+        default = OmegaConf.select(cfg, key)
+    except OmegaConfBaseException:  # a reference to what only a running job knows: a path
+        return True
+    if isinstance(default, ListConfig) and default:
+        return all(isinstance(element, str) for element in default)
+    return isinstance(default, str) or (default in (None, []) and key.rpartition(".")[2] in TEXT_KEYS)
 
 
 def _short(group: str, name: str) -> str:

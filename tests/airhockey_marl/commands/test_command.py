@@ -1,5 +1,6 @@
 """How commands start: quickly, with a manual, and with one clear line for anything that is typed wrong."""
 
+import io
 import json
 import os
 import shutil
@@ -8,9 +9,13 @@ import sys
 from pathlib import Path
 
 import pytest
+from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
 
 from airhockey_marl.__main__ import find_commands, main
-from airhockey_marl.experiment.command import CONF, run
+from airhockey_marl.experiment.command import CONF, run, tolerant_output
+from airhockey_marl.experiment.config import check_overrides
+from airhockey_marl.experiment.files import write_json
 from tests import ROOT
 
 HEAVY = ("torch", "numba", "numpy", "pandas", "pingouin", "matplotlib", "tensorboard", "scipy")
@@ -81,7 +86,6 @@ def test_completion_knows_groups_and_keys():
         ("evaluate", "participants=null", "participants = null must be a whole number"),
         ("report", "mixed=1", "mixed = 1 must be true or false"),
         ("evaluate", "guidance.lookahead=far", "guidance.lookahead = far must be a number"),
-        ("evaluate", "users.variant=3", "users.variant = 3 must be a text"),
         ("evaluate", "seed='${nowhere}'", "seed: Interpolation key 'nowhere' not found"),
         ("evaluate", "conditon=oahg", "conditon = oahg: no such key; did you mean condition?"),
         ("evaluate", "guidance.lookahed=0", "guidance.lookahed = 0: no such key; did you mean guidance.lookahead?"),
@@ -105,6 +109,55 @@ def test_whatever_is_typed_wrong_ends_in_one_line(capsys, monkeypatch, name, arg
         run(COMMANDS[name].module, [argument])
     shown = capsys.readouterr()
     assert (stopped.value.code, shown.err, shown.out) == (2, f"error: {message}\n", "")
+
+
+@pytest.mark.parametrize(
+    ("name", "argument", "key", "value"),
+    [
+        *(
+            ("lab", f"participant={label}", "participant", label)
+            for label in ("1_01", "10_1", "12e3", "true", "+5", "1e400", "null", "nan", "007", "0x10", "1.0", "P01")
+        ),
+        ("lab", "records=20_24", "records", "20_24"),
+        ("lab", "scale=[1, never at all,7.50]", "scale", ["1", "never at all", "7.50"]),
+        ("lab", "scale.0=1e0", "scale.0", "1e0"),
+        ("lab", "questions.comfort=5", "questions.comfort", "5"),
+        ("report", "runs=[2024,1_0,a/1_0,'3']", "runs", ["2024", "1_0", "a/1_0", "3"]),
+        ("watch", "run=1_0", "run", "1_0"),
+        ("train", "resume=1_0", "resume", "1_0"),
+        ("train", "resume=null", "resume", None),
+        ("evaluate", "opponent=1_0", "opponent", 10),
+        ("evaluate", "beyond=[1_0]", "beyond", ["1_0"]),
+        ("evaluate", "hydra.run.dir=1_0", "hydra.run.dir", "1_0"),
+        ("replicate", "ray=127.0.0.1:6379", "ray", "127.0.0.1:6379"),
+        ("runs", "outputs=${oc.env:HOME}/1_0", "outputs", f"{os.environ['HOME']}/1_0"),
+    ],
+)
+def test_a_name_is_the_text_that_was_typed(name, argument, key, value):
+    arguments = [argument, *(["participant=P1"] if name == "lab" and "participant" not in argument else [])]
+    loaded = check_overrides(CONF, name, arguments)
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose(name, loaded, return_hydra_config=True)
+    assert OmegaConf.select(cfg, key) == value
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "ascii"])
+def test_output_never_fails_on_a_character(monkeypatch, encoding):
+    stream = io.TextIOWrapper(io.BytesIO(), encoding)
+    monkeypatch.setattr(sys, "stdout", stream)
+    with tolerant_output():
+        print("– Ω 한국어 é")
+    stream.seek(0)
+    assert stream.read().startswith("? ? ??? ")
+
+
+@pytest.mark.parametrize("redirection", [">/dev/full", "| head -c 1", ">&-", "2>/dev/full >&2"])
+def test_output_that_nobody_takes_makes_no_command_fail(tmp_path, redirection):
+    (tmp_path / "run").mkdir()
+    write_json(tmp_path / "run" / "run.json", {"command": "train", "status": "done"})
+    line = f"set -o pipefail; {sys.executable} -m airhockey_marl runs outputs={tmp_path} {redirection}"
+    done = subprocess.run(["bash", "-c", line], cwd=ROOT, capture_output=True, text=True, timeout=100, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
 
 
 def test_null_is_a_choice_where_it_is_the_default(capsys):
