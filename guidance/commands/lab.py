@@ -119,7 +119,9 @@ def main(cfg: DictConfig) -> None:
         people = sample_people(cfg.participants, cfg.seed, population)
         facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else NullEvents()
     clock = WallClock() if cfg.window else SimulatedClock()
-    with ExitStack() as room:
+    participant = None
+    with suppress(Quit), ExitStack() as room:
+        room.enter_context(quit_on_signals())  # until the records are closed
         window = opened = simulated = None
         if cfg.window:
             screen = Window("Air hockey", TableSpec(), cfg.width, cfg.frames_per_second, clock, KEYS, shows_force=False)
@@ -129,6 +131,7 @@ def main(cfg: DictConfig) -> None:
         with report_input_errors():
             records = room.enter_context(Records(cfg.records, facts))
         participant = enrolled(records, cfg)
+        room.callback(dismiss, records, participant)
         if opened is None:
             simulated = SimulatedParticipant(people, participant.place, cfg.seed, cfg.users)
             opened = room.enter_context(device_session(device, limits, simulated.users))
@@ -140,12 +143,9 @@ def main(cfg: DictConfig) -> None:
             if cfg.fullscreen:
                 window.toggle_fullscreen()
         on_game = (lambda game: simulated.begin_game(seat, game)) if simulated else (lambda game: None)
-        with suppress(Quit), quit_on_signals():
-            Session(plan, participant, seat, window or simulated, events, on_game).run()
-        if participant.consent is None:
-            records.withdraw(participant.label, counted=False)
-            print(f"{participant.label} does not take part; nothing of theirs is kept")
-            return
+        Session(plan, participant, seat, window or simulated, events, on_game).run()
+    if participant is None or participant.consent is None:
+        return
     done = sum(game.ratings is not None for game in participant.games.values())
     again = "" if done == len(plan.conditions) else f" It goes on with participant={participant.label}."
     print(f"{participant.label}: {done} of {len(plan.conditions)} games are played and rated.{again}")
@@ -162,6 +162,13 @@ def withdraw(folder: Path, label: str) -> None:
         with Records(folder, load_json(folder / "manifest.json")) as records:
             records.withdraw(label)
     print(f"{label} has withdrawn: everything of theirs in {folder} is deleted")
+
+
+def dismiss(records: Records, participant: Participant) -> None:
+    """Delete everything of a participant who has not consented."""
+    if participant.consent is None:
+        records.withdraw(participant.label, counted=False)
+        print(f"{participant.label} does not take part; nothing of theirs is kept")
 
 
 def enrolled(records: Records, cfg: DictConfig) -> Participant:

@@ -19,13 +19,21 @@ class Quit(BaseException):
 
 @contextmanager
 def quit_on_signals() -> Iterator[None]:
-    """Raise `Quit` on SIGTERM and SIGINT within the block, so that games are saved and the device is released."""
+    """Raise `Quit` at the first SIGTERM, SIGINT or SIGHUP within the block: games are saved, the device is released.
+
+    Further ones are ignored until the block has ended, so that they do not interrupt that.
+    """
 
     def handle(signum: int, frame: object) -> None:
+        for number in previous:
+            signal.signal(number, signal.SIG_IGN)
         raise Quit
 
-    previous = {number: signal.signal(number, handle) for number in (signal.SIGTERM, signal.SIGINT)}
+    names = [name for name in ("SIGTERM", "SIGINT", "SIGHUP") if hasattr(signal, name)]  # Windows has no SIGHUP
+    previous = {number: signal.getsignal(number) for number in (getattr(signal, name) for name in names)}
     try:
+        for number in previous:
+            signal.signal(number, handle)
         yield
     finally:
         for number, handler in previous.items():

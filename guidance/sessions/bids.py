@@ -75,7 +75,7 @@ class Records:
             ValueError: another process has the folder, or the folder holds another study or none; in one line.
             OSError: a file could not be written; the message names it.
         """
-        self.folder, self._active = Path(folder), None
+        self.folder, self._active, self._gone = Path(folder), None, set()
         with name_write_errors(self.folder):
             self.folder.mkdir(parents=True, exist_ok=True)
             self._lock: FileLock | None = acquire_lock(self.folder, "records")
@@ -91,7 +91,11 @@ class Records:
             self.places = self._read_places()
             for label in self.places:
                 recover_games(self._person(label) / "beh")
-            self._last_withdrawn = self._finish_withdrawal()  # its `withdraw` may be repeated
+            gone = [self._finish_withdrawal()]
+            for label in [label for label in self.places if not self._took_part(label)]:
+                self.withdraw(label, counted=False)  # a session that was killed before the consent
+                gone.append(label)
+            self._gone = {label for label in gone if label}  # whose `withdraw` may be repeated
             self.save_trials()
         except BaseException:
             self.close()
@@ -138,10 +142,10 @@ class Records:
             OSError: a file could not be deleted; the message names it. Another call continues.
         """
         self.require_no_game()
-        finished = self._finish_withdrawal() or self._last_withdrawn
-        self._last_withdrawn = None
+        gone = self._gone | {self._finish_withdrawal()}
+        self._gone = set()
         if label not in self.places:
-            if label == finished:
+            if label in gone:
                 return
             raise ValueError(f"withdraw = {label} must be one of those enrolled: {', '.join(self.places) or 'nobody'}")
         withdrawals = self.manifest["withdrawals"] + counted
@@ -192,6 +196,10 @@ class Records:
 
     def _person(self, label: str) -> Path:
         return self.folder / f"sub-{label}"
+
+    def _took_part(self, label: str) -> bool:
+        """Whether there is a consent of a person, or a game."""
+        return any(file.is_file() for file in self._person(label).rglob("*"))
 
     def _new_label(self) -> str:
         taken = {known.lower() for known in self.places}

@@ -1,6 +1,7 @@
 """The experiment, whole: a simulated person takes the seat, at a window and without one; nothing finished is lost."""
 
 import json
+import os
 import signal
 import time
 from contextlib import redirect_stderr, redirect_stdout
@@ -17,6 +18,7 @@ from airhockey_marl.experiment.command import run as start_command
 from guidance.commands import evaluate, lab, report
 from guidance.display.window import MIN_WIDTH, Window
 from guidance.haptics.screen import SimulatedClock
+from guidance.sessions.bids import Records
 from guidance.sessions.tick_log import read_ticks
 from guidance.simulated_users.ratings import RATINGS
 from tests.processes import Command, start
@@ -241,6 +243,40 @@ def test_who_does_not_consent_plays_nothing(at_a_window):
     assert not list(folder.glob("sub-*")) and "P1" not in (folder / "participants.tsv").read_text()
     assert json.loads((folder / "manifest.json").read_text())["withdrawals"] == 0
     assert "P1" not in "".join(path.read_text() for path in folder.parent.rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
+def test_signals_before_the_consent_leave_nobody_enrolled(at_a_window, monkeypatch, number):
+    """However many, and also while what is there of the person is deleted."""
+    session, folder = at_a_window
+    withdraw = Records.withdraw
+
+    def signaled(*arguments, **options):
+        os.kill(os.getpid(), number)
+        return withdraw(*arguments, **options)
+
+    monkeypatch.setattr(Records, "withdraw", signaled)
+    _, said = session(page=signaled)
+    assert "P1 does not take part" in said
+    assert not list(folder.glob("sub-*")) and "P1" not in (folder / "participants.tsv").read_text()
+    assert signal.getsignal(number) in (signal.SIG_DFL, signal.default_int_handler)
+
+
+@pytest.mark.parametrize("others", [("1_01", "10_1"), ("12e3", "12000"), ("true", "True1"), ("1e400", "007")])
+def test_similar_labels_are_different_people(tmp_path, others):
+    """And each is withdrawn by their own."""
+    folder = tmp_path / "records"
+    records = ["device=simulated", "window=false", "+preset=smoke", f"records={folder}", f"hydra.run.dir={tmp_path}"]
+    valid = [label for label in others if label.isalnum()]
+    with Records(folder, {"study_hash": "0", "seed": 0}) as study:
+        for label in valid:
+            study.participant(label).give_consent("text")
+    for label in others:
+        code, _, complained = here(lab, *records, f"participant={label}", "withdraw=true")
+        assert (code == 0) == (label in valid), complained
+        assert label in valid or f"participant = '{label}'" in complained or f"withdraw = {label}" in complained
+        valid = [other for other in valid if other != label]
+        assert {path.name for path in folder.glob("sub-*")} == {f"sub-{other}" for other in valid}
 
 
 def test_a_session_at_a_window_shows_every_page_and_never_the_condition(at_a_window):

@@ -247,6 +247,20 @@ def test_what_is_no_label_is_refused_before_anything_is_written(label, tmp_path_
             assert content_of(folder) == before
 
 
+def test_who_was_enrolled_and_never_consented_is_nobody(folder):
+    """Their session was killed; the next one, a withdrawal too, finds nothing of them."""
+    with Records(folder, FACTS) as records:
+        play(records, "P01", NAMES[:2])
+        records.participant("P02"), records.participant("P03").give_consent("text")
+    with Records(folder, FACTS) as records:
+        assert list(records.places) == ["P01", "P03"] and not (folder / "sub-P02").exists()
+        assert records.manifest["withdrawals"] == 0
+        records.withdraw("P02")  # is done already
+        with pytest.raises(ValueError, match="withdraw = P02 must be one of those enrolled: P01, P03"):
+            records.withdraw("P02")
+        assert records.participant("P04").place == 1
+
+
 def test_labels_that_are_drawn_are_unlike_each_other(records, monkeypatch):
     drawn = iter("2222222222223333334" + "5" * 100)
     monkeypatch.setattr("guidance.sessions.bids.secrets.choice", lambda letters: next(drawn))
