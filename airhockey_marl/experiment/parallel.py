@@ -6,6 +6,7 @@ more than it gains on few cores. numba and Ray are imported by the functions tha
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -44,6 +45,10 @@ def parallel_for(kernel: Callable[..., None], rows: np.ndarray, *arguments: obje
 @cache
 def _pool(threads: int) -> ThreadPoolExecutor:
     return ThreadPoolExecutor(threads, thread_name_prefix="rows")
+
+
+if hasattr(os, "register_at_fork"):  # not on Windows
+    os.register_at_fork(after_in_child=_pool.cache_clear)  # a forked process has none of its parent's threads
 
 
 def join_ray_cluster(address: str, cores: int | None = None) -> None:
