@@ -20,7 +20,7 @@ from omegaconf import DictConfig, OmegaConf
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import write_json
-from airhockey_marl.experiment.run_folder import card_facts, lock_run_folder, note_headline, output_folder
+from airhockey_marl.experiment.run_folder import card_facts, lock_run_folder, note_headline
 
 
 def check(cfg: DictConfig) -> None:
@@ -50,8 +50,7 @@ def main(cfg: DictConfig) -> float:
             SCRIPTED_PLAYERS.find(name, "league.scripted_players")
         torch.manual_seed(cfg.seed)
         training = LeagueTraining(cfg)
-    folder = output_folder(cfg)
-    with closing(training.trainer.workers), lock_run_folder(folder):
+    with closing(training.trainer.workers), lock_run_folder(cfg) as folder:
         train_league(training, folder)
         card = model_card(cfg, training.league)
         write_json(folder / "card.json", card | card_facts(cfg, training.seconds))

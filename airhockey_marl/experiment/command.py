@@ -272,7 +272,8 @@ def prepare(cfg: DictConfig, module: ModuleType) -> DictConfig:
     """
     with report_input_errors():
         if cfg.get("resume") is not None:
-            cfg = resumed_config(Path(cfg.resume), getattr(module, "STATE_FILE", STATE_FILE), cfg)
+            state = getattr(module, "STATE_FILE", STATE_FILE)
+            cfg = resumed_config(Path(cfg.resume), state, cfg, HydraConfig.get().overrides.task)
         require_counts(cfg, *{"threads"} & {*cfg})
         require_counts(cfg, *{"seed"} & {*cfg}, least=0)
         if hasattr(module, "check"):

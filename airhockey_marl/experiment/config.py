@@ -29,6 +29,7 @@ MAX_REFERENCES = 16  # in it; ours have 6. Each three of them can make it three 
 ROOT = Path(__file__).resolve().parents[2]
 _INSTALLED = Path(__file__).resolve().parents[1] / "conf"  # in a source tree a link to ROOT / "conf"
 CONF = _INSTALLED.resolve() if _INSTALLED.is_dir() else ROOT / "conf"
+CHANGEABLE = ("compute", "threads", "collector", "pictures_every", "ray")  # when a run is resumed
 COMMAND_GROUPS = ("preset", "sweep")  # with a folder for each command, conf/preset/<command>/
 # keys of names and paths for which the yaml has no text: nothing, or an empty list
 TEXT_KEYS = {
@@ -238,13 +239,20 @@ def describe(error: Exception) -> str:
     return f"{key}: {reason}" if key else reason
 
 
-def resumed_config(run: Path, state: str, now: Mapping[str, Any] = MappingProxyType({})) -> DictConfig:
+def resumed_config(
+    run: Path, state: str, now: Mapping[str, Any] = MappingProxyType({}), arguments: Sequence[str] = ()
+) -> DictConfig:
     """The configuration of an earlier run, to resume it.
 
     Args:
         state: the name of the file that it resumes from.
         now: the command's own configuration: keys that it does not have are dropped, those that the earlier run did
             not have yet are taken from it.
+        arguments: the overrides that are typed now. Those of `CHANGEABLE` keys hold from now on, and `generations` if
+            there are more of them.
+
+    Raises:
+        ValueError: the folder has no such run, or an argument sets another value for a key that must stay; names it.
     """
     file = run / ".hydra" / "config.yaml"
     if not (run / state).is_file() or not file.is_file():
@@ -256,8 +264,31 @@ def resumed_config(run: Path, state: str, now: Mapping[str, Any] = MappingProxyT
         del cfg[key]
     for key in set(now) - set(cfg):
         cfg[key] = now[key]
+    for key in _typed_keys(arguments, now):
+        value, kept = OmegaConf.select(now, key), OmegaConf.select(cfg, key)
+        if key.partition(".")[0] in CHANGEABLE or (key == "generations" and value > kept):
+            OmegaConf.update(cfg, key, value, force_add=True)
+        elif key != "resume" and value != kept:
+            raise ValueError(f"{key} = {_shown(value)} must be {_shown(kept)}, as in the run that is resumed")
     cfg.resume = str(run)
     return cfg
+
+
+def _typed_keys(arguments: Sequence[str], cfg: DictConfig) -> list[str]:
+    """The keys of a configuration, dots for nesting, that arguments set, by themselves or by the choice of a group."""
+    keys: dict[str, None] = {}
+    for override in map(_parse, arguments):
+        key, value = override.key_or_group.replace("/", "."), override.value()
+        file = CONF / override.key_or_group / f"{value}.yaml"
+        node = OmegaConf.select(cfg, key)
+        if node is None and file.is_file():  # of a choice for the whole configuration
+            content = {name: part for name, part in OmegaConf.load(file).items() if name not in ("defaults", "hydra")}
+            keys |= dict.fromkeys(flatten_settings(content))
+        elif isinstance(node, DictConfig):
+            keys |= dict.fromkeys(flatten_settings(node, f"{key}."))
+        elif not key.startswith("hydra."):
+            keys[key] = None
+    return list(keys)
 
 
 def read_config(file: Path) -> DictConfig:

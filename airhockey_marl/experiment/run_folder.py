@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.experiment.command import report_input_errors
 from airhockey_marl.experiment.config import STATE_FILE
-from airhockey_marl.experiment.files import name_write_errors, remove_temporary_files, write_json
+from airhockey_marl.experiment.files import name_write_errors, remove_temporary_files, write_json, write_text
 
 RECORD = "run.json"
 STATES = ("running", "done", "failed", "interrupted", "unknown")
@@ -38,6 +38,7 @@ class RunRecord:
         folder: of the run.
         command: the name of its yaml.
         overrides: what was set on the command line.
+        commands: as they were typed: the one that began it, and those that resumed it.
         status: running, done or failed, as it was written; see `state`.
         host, pid, birth: of its process, see `process_start`.
         started, seconds: Unix time, and how long it took; None while it runs.
@@ -48,6 +49,7 @@ class RunRecord:
     folder: Path
     command: str
     overrides: list[str] = field(default_factory=list)
+    commands: list[str] = field(default_factory=list)
     status: str = "unknown"
     host: str = ""
     pid: int = 0
@@ -94,6 +96,7 @@ def read_run(folder: Path) -> RunRecord:
         facts: Any = json.loads((folder / RECORD).read_text(encoding="utf-8"))
         run = RunRecord(folder, **facts)
         sound = run.status in STATES and isinstance(run.pid, int) and isinstance(run.overrides, list)
+        sound &= isinstance(run.commands, list)
         sound &= isinstance(run.headline, str)
         sound &= isinstance(run.started, int | float) and isinstance(run.seconds, int | float | None)
     except (OSError, ValueError, TypeError):
@@ -137,22 +140,34 @@ class RunRecorder(Callback):
 
     def on_job_start(self, config: DictConfig, **_: Any) -> None:
         """Write that the job is running."""
-        pid = os.getpid()
-        place = {"host": socket.gethostname(), "pid": pid, "birth": process_start(pid)}
-        job = config.hydra.job.config_name, list(config.hydra.overrides.task)
-        folders = _folders(config) if config.hydra.output_subdir is not None else []
-        self._runs = [RunRecord(folder, *job, "running", **place, started=time.time()) for folder in folders]
-        for run in self._runs:
-            run.write()
+        if config.hydra.output_subdir is not None:
+            _running(RunRecord(Path(config.hydra.runtime.output_dir), config.hydra.job.config_name), config).write()
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **_: Any) -> None:
-        """Write how it ended."""
+        """Write how it ended, into the folder of the run that it resumed, too."""
         failed = job_return.status == JobStatus.FAILED
         error = " ".join(str(job_return._return_value).split()) if failed else ""
-        end = {"status": "failed" if failed else "done", "error": error}
-        for run in self._runs:
-            seconds, headline = round(time.time() - run.started, 1), read_run(run.folder).headline
-            replace(run, **end, seconds=seconds, headline=headline).write()
+        for folder in {
+            Path(config.hydra.runtime.output_dir),
+            Path(config.get("resume") or config.hydra.runtime.output_dir),
+        }:
+            run = read_run(folder)
+            if run.status == "running" and run.pid == os.getpid():
+                seconds = round(time.time() - run.started, 1)
+                replace(run, status="failed" if failed else "done", error=error, seconds=seconds).write()
+
+
+def _running(run: RunRecord, config: DictConfig) -> RunRecord:
+    """A run as this process begins or resumes it."""
+    pid, typed = os.getpid(), list(config.hydra.overrides.task)
+    own = [argument for argument in typed if argument not in run.overrides and not argument.startswith("resume=")]
+    return replace(
+        run,
+        overrides=[*run.overrides, *own],
+        commands=[*run.commands, " ".join(["airhockey", config.hydra.job.config_name, *typed])],
+        **{"status": "running", "host": socket.gethostname(), "pid": pid, "birth": process_start(pid)},
+        **{"started": time.time(), "seconds": None, "error": ""},
+    )
 
 
 def output_folder(cfg: DictConfig) -> Path:
@@ -166,9 +181,15 @@ def command_line() -> str:
     return " ".join(["airhockey", job.job.config_name, *job.overrides.task])
 
 
+def command_history(cfg: DictConfig) -> dict[str, Any]:
+    """The command that began the run, and those that resumed it, if any."""
+    first, *others = read_run(output_folder(cfg)).commands or [command_line()]
+    return {"command": first} | ({"resumed_by": others} if others else {})
+
+
 def card_facts(cfg: DictConfig, seconds: float) -> dict[str, Any]:
     """What the card of every result says of its origin."""
-    facts = {"command": command_line(), "date": time.strftime("%Y-%m-%d"), "seed": cfg.seed}
+    facts = {**command_history(cfg), "date": time.strftime("%Y-%m-%d"), "seed": cfg.seed}
     return facts | {"seconds": round(seconds, 1), "config": OmegaConf.to_container(cfg)}
 
 
@@ -203,12 +224,6 @@ def _require_free(folder: Path, key: str) -> None:
         sys.exit(f"{key}: {folder} holds {lost}; a run must have a folder of its own")
 
 
-def _folders(config: DictConfig) -> list[Path]:
-    own, resumed = Path(config.hydra.runtime.output_dir), config.get("resume")
-    is_run = isinstance(resumed, str) and (Path(resumed) / ".hydra" / "config.yaml").is_file()
-    return [own, Path(resumed)] if is_run else [own]
-
-
 def acquire_lock(folder: Path, name: str) -> FileLock:
     """Lock an existing folder for this process, until the lock is released or the process ends.
 
@@ -228,13 +243,27 @@ def acquire_lock(folder: Path, name: str) -> FileLock:
 
 
 @contextmanager
-def lock_run_folder(folder: Path) -> Iterator[None]:
-    """Hold the lock of a run folder, and remove what a killed process has left half written in it."""
+def lock_run_folder(cfg: DictConfig) -> Iterator[Path]:
+    """Hold the lock of a command's folder, remove what a killed process has left half written, yield the folder.
+
+    If it is that of an earlier run, its run.json says from now on that it runs, and its configuration is the resumed
+    one.
+    """
+    folder = output_folder(cfg)
     with report_input_errors(), name_write_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         lock = acquire_lock(folder, "run")
     try:
         remove_temporary_files(folder)
-        yield
+        if cfg.get("resume"):
+            write_text(folder / ".hydra" / "config.yaml", OmegaConf.to_yaml(OmegaConf.merge(cfg, {"resume": None})))
+            earlier = read_run(folder)
+            _running(replace(earlier, command=earlier.command or HydraConfig.get().job.config_name), _job()).write()
+        yield folder
     finally:
         lock.release()
+
+
+def _job() -> DictConfig:
+    """The configuration of the running job, as callbacks are given it."""
+    return OmegaConf.create({"hydra": HydraConfig.get()})

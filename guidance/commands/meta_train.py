@@ -24,7 +24,7 @@ from airhockey_marl.experiment.command import report_input_errors, require_count
 from airhockey_marl.experiment.config import STATE_FILE, InputError
 from airhockey_marl.experiment.files import sha256, write_json
 from airhockey_marl.experiment.progress import ProgressBar
-from airhockey_marl.experiment.run_folder import card_facts, lock_run_folder, note_headline, output_folder
+from airhockey_marl.experiment.run_folder import card_facts, lock_run_folder, note_headline
 
 if TYPE_CHECKING:
     from torch import nn
@@ -59,8 +59,8 @@ def check(cfg: DictConfig) -> None:
 
 def main(cfg: DictConfig) -> float:
     """Train both; for a sweeper, the loss of Eq. 3 after UA on people that the model has not seen."""
-    with lock_run_folder(output_folder(cfg)):
-        return train(cfg, output_folder(cfg))
+    with lock_run_folder(cfg) as folder:
+        return train(cfg, folder)
 
 
 def train(cfg: DictConfig, folder: Path) -> float:

@@ -17,15 +17,16 @@ replicate.html, manifest.json.
 
 import time
 from importlib.util import find_spec
+from pathlib import Path
 
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.config import InputError
-from airhockey_marl.experiment.files import write_json, write_text
+from airhockey_marl.experiment.files import load_json, write_json, write_text
 from airhockey_marl.experiment.parallel import LOCAL_CLUSTER
 from airhockey_marl.experiment.progress import ProgressBar
-from airhockey_marl.experiment.run_folder import command_line, lock_run_folder, note_headline, output_folder
+from airhockey_marl.experiment.run_folder import command_history, command_line, lock_run_folder, note_headline
 
 STATE_FILE = "manifest.json"  # written when a run begins
 
@@ -43,10 +44,12 @@ def main(cfg: DictConfig) -> None:
         for variant in cfg.sensitivity.variants:
             check_variant(variant)
         studies = Studies(cfg)
-    folder = output_folder(cfg)
-    with lock_run_folder(folder):
-        facts = manifest(cfg, file_hashes(cfg, studies.setup.models), command_line(), 0.0)
-        facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
+    facts = manifest(cfg, file_hashes(cfg, studies.setup.models), command_line(), 0.0)
+    facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
+    if cfg.resume and facts["study_hash"] != load_json(Path(cfg.resume) / STATE_FILE).get("study_hash"):
+        raise InputError(f"resume = {cfg.resume}: the models are not those with which its studies were played")
+    with lock_run_folder(cfg) as folder:
+        facts |= command_history(cfg)
         write_json(folder / STATE_FILE, facts)
         write_text(folder / "factors.csv", studies.factors.to_csv(index_label="study"))
         progress, began = ProgressBar(), time.perf_counter()

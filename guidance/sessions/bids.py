@@ -22,6 +22,7 @@ from typing import Any
 import pandas as pd
 from filelock import FileLock
 
+from airhockey_marl.experiment.config import flatten_settings
 from airhockey_marl.experiment.files import fsync_dir, load_json, name_write_errors, remove_temporary_files
 from airhockey_marl.experiment.run_folder import acquire_lock
 from guidance.sessions.game import OBJECTIVE, RESULTS, load_games
@@ -222,12 +223,19 @@ class Records:
         known = load_json(file)
         if not isinstance(known.get("withdrawals"), int):
             raise ValueError(f"records = {self.folder} holds a study, but not one of the laboratory")
-        for key in ("study_hash", "seed"):
-            if known.get(key) != manifest[key]:
-                raise ValueError(
-                    f"records = {self.folder} holds a study with {key} = {known.get(key)}, and this one has "
-                    f"{manifest[key]}: choose another folder, or the configuration of that study"
-                )
+        identity = "study_hash", "seed"
+        if any(known.get(key) != manifest[key] for key in identity):
+            before, now = (
+                flatten_settings(each.get("config", {})) | {key: each.get(key) for key in identity}
+                for each in (known, manifest)
+            )
+            changed = [key for key in before if before[key] != now.get(key)]
+            values = [f"{key} = {before[key]} and not {now.get(key)}" for key in changed if key != "study_hash"]
+            raise ValueError(
+                f"records = {self.folder} holds a study with "
+                f"{', '.join(values) or f'study_hash = {before[identity[0]]} and not {now[identity[0]]}'}: "
+                "choose another folder, or the configuration of that study"
+            )
         return known
 
     def _save_manifest(self, manifest: Mapping[str, Any]) -> None:

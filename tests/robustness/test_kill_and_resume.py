@@ -17,7 +17,7 @@ CASES = {
     "meta_train": [*META, "maml.epochs=100", "supervised.epochs=60"],
     "replicate": [*REPLICATE, "n=20", "controls=3"],
 }
-DIFFERENT = ("seconds", "date", "command")  # also between two undisturbed runs
+DIFFERENT = ("seconds", "date", "command", "resumed_by")  # also between two undisturbed runs
 
 
 def results_of(run: Path) -> dict[str, object]:

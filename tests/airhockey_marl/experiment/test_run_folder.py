@@ -1,7 +1,7 @@
 """One process has a run folder; and a disk that is full costs nothing that was finished."""
 
+import json
 import os
-import re
 import resource
 import signal
 import subprocess
@@ -9,8 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from omegaconf import OmegaConf
 
 from airhockey_marl.experiment.command import InputError
+from airhockey_marl.experiment.command import run as run_command
 from airhockey_marl.experiment.files import WriteError, load_tensors, save_tensors, write_text
 from airhockey_marl.experiment.run_folder import lock_run_folder
 from tests import ROOT
@@ -26,19 +28,18 @@ def one_line(done: subprocess.CompletedProcess, *parts: str) -> None:
 
 
 def test_a_folder_that_is_in_use_is_refused_and_given_free_with_its_process(tmp_path):
-    hold = "import sys, time; from pathlib import Path; "
-    hold += "from airhockey_marl.experiment.run_folder import lock_run_folder\n"
-    hold += "with lock_run_folder(Path(sys.argv[1])):\n    print('held', flush=True)\n    time.sleep(600)"
+    hold = "import sys, time; from airhockey_marl.experiment.run_folder import lock_run_folder\n"
+    hold += "with lock_run_folder({'out': sys.argv[1]}):\n    print('held', flush=True)\n    time.sleep(600)"
     holder = subprocess.Popen([sys.executable, "-c", hold, str(tmp_path)], cwd=ROOT, stdout=subprocess.PIPE)
     try:
         assert holder.stdout.readline() == b"held\n"
         refused = rf"run = {tmp_path} is in use by process {holder.pid}; one at a time can have it"
-        with pytest.raises(InputError, match=refused), lock_run_folder(tmp_path):
+        with pytest.raises(InputError, match=refused), lock_run_folder({"out": tmp_path}):
             pass
     finally:
         holder.send_signal(signal.SIGKILL)
         holder.communicate()
-    with lock_run_folder(tmp_path):
+    with lock_run_folder({"out": tmp_path}):
         assert (tmp_path / ".lock").read_text() == f"{os.getpid()}\n"
 
 
@@ -46,18 +47,16 @@ def test_what_a_killed_process_left_half_written_is_removed_and_nothing_else(tmp
     half, kept = tmp_path / "deep" / ".league.safetensors.ab12_z9x.safetensors", tmp_path / ".hidden.yaml"
     write_text(half, "half of the n")
     write_text(kept, "mine")
-    with lock_run_folder(tmp_path):
+    with lock_run_folder({"out": tmp_path}):
         assert not half.exists() and kept.exists()
 
 
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory) -> Path:
-    """A run that has come to its second generation, of six."""
+    """A run of two generations."""
     run = tmp_path_factory.mktemp("run") / "run"
     done = start(*TRAIN, "generations=2", f"hydra.run.dir={run}")
     assert done.returncode == 0, done.stderr
-    file = run / ".hydra" / "config.yaml"
-    file.write_text(file.read_text().replace("generations: 2\n", "generations: 6\n"))
     return run
 
 
@@ -68,9 +67,10 @@ def copy_of(run: Path, to: Path) -> Path:
 
 @pytest.fixture(scope="module")
 def whole(trained, tmp_path_factory) -> Path:
-    """The same, gone on with to its end."""
+    """The same, gone on with to six."""
     run = copy_of(trained, tmp_path_factory.mktemp("whole") / "run")
-    assert start("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={run}-log").returncode == 0
+    done = start("airhockey_marl.train", f"resume={run}", "generations=6", f"hydra.run.dir={run}-log")
+    assert done.returncode == 0, done.stderr
     return run
 
 
@@ -81,11 +81,50 @@ def state_of(run: Path) -> dict[str, bytes]:
 def test_a_training_that_is_gone_on_with_twice_is_refused_while_it_runs(trained, tmp_path):
     run = copy_of(trained, tmp_path / "run")
     before = state_of(run)
-    with lock_run_folder(run):
+    with lock_run_folder({"out": run}):
         done = start("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log")
     assert done.returncode == 2
     one_line(done, f"run = {run} is in use by process {os.getpid()}; one at a time can have it")
     assert state_of(run) == before
+
+
+@pytest.mark.parametrize(
+    ("argument", "message"),
+    [
+        ("seed=8", "seed = 8 must be 0"),
+        ("algorithm.max_kl=0.5", "algorithm.max_kl = 0.5 must be 0.02"),
+        ("algorithm=ppo", "algorithm.name = ppo must be trpo"),
+        ("generations=1", "generations = 1 must be 2"),
+        ("steps_per_generation=1000", "steps_per_generation = 1000 must be 500"),
+        ("+preset=smoke", "steps_per_generation = 1000 must be 500"),
+        ("hidden=[8]", "hidden = [8] must be [64, 64]"),
+        ("league.scripted_players=[idle]", "league.scripted_players = ['idle'] must be ['striker']"),
+    ],
+)
+def test_another_value_of_what_a_run_is_is_refused_when_it_is_resumed(trained, tmp_path, capsys, argument, message):
+    kept = {name: (trained / name).read_bytes() for name in ("run.json", "card.json", ".hydra/config.yaml")}
+    with pytest.raises(SystemExit) as stopped:
+        run_command("airhockey_marl.commands.train", [f"resume={trained}", argument, f"hydra.run.dir={tmp_path}/log"])
+    assert stopped.value.code == 2
+    assert capsys.readouterr().err == f"error: {message}, as in the run that is resumed\n"
+    assert kept == {name: (trained / name).read_bytes() for name in kept}
+
+
+def test_what_may_change_holds_from_then_on_and_the_commands_add_up(trained, whole, tmp_path):
+    run = copy_of(trained, tmp_path / "run")
+    changes = "collector=multisync", "generations=4", "threads=2", "seed=0", "algorithm=trpo"
+    for others in (changes, ("generations=6",)):
+        done = start("airhockey_marl.train", f"resume={run}", *others, f"hydra.run.dir={tmp_path}/log{len(others)}")
+        assert done.returncode == 0, done.stderr
+    card, record = (json.loads((run / name).read_text()) for name in ("card.json", "run.json"))
+    assert card["command"] == json.loads((trained / "card.json").read_text())["command"] == record["commands"][0]
+    assert card["resumed_by"] == record["commands"][1:] and "resume=" in record["commands"][1]
+    assert (record["status"], record["command"]) == ("done", "train") and "generations=6" in record["overrides"]
+    config = OmegaConf.load(run / ".hydra" / "config.yaml")
+    assert (config.generations, config.threads, config.collector.workers, config.resume) == (6, 2, 2, None)
+    assert card["config"]["generations"] == 6 and card["config"]["collector"]["kind"] == "multisync"
+    ours, theirs = (load_tensors(folder / "league.safetensors")[0] for folder in (run, whole))
+    assert {name: w.shape for name, w in ours.items()} == {name: w.shape for name, w in theirs.items()}
 
 
 def small_files() -> None:
@@ -95,10 +134,9 @@ def small_files() -> None:
 def test_a_file_that_becomes_too_large_stops_a_training_whose_state_stays(trained, whole, tmp_path):
     run = copy_of(trained, tmp_path / "run")
     before = state_of(run)
-    file = run / ".hydra" / "config.yaml"
     for every, name in ((1, "tensorboard"), (0, "league.safetensors")):  # a film is larger than a league
-        file.write_text(re.sub("pictures_every: .", f"pictures_every: {every}", file.read_text()))
-        done = start("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log", before=small_files)
+        more = f"resume={run}", "generations=6", f"pictures_every={every}", f"hydra.run.dir={tmp_path}/log"
+        done = start("airhockey_marl.train", *more, before=small_files)
         assert done.returncode == 1
         one_line(done, f"{run}/{name} cannot be written: ", "What was saved before is as it was")
         assert state_of(run) == before and not list(run.glob(".*.safetensors"))
@@ -124,7 +162,7 @@ def test_a_disk_that_is_full_stops_a_training_whose_state_stays(trained, whole, 
         free = os.statvfs(disk).f_bavail * os.statvfs(disk).f_frsize
         (disk / "others").write_bytes(b"x" * (free - 40_000))
         before = state_of(run)
-        done = start("airhockey_marl.train", f"resume={run}", f"hydra.run.dir={tmp_path}/log")
+        done = start("airhockey_marl.train", f"resume={run}", "generations=6", f"hydra.run.dir={tmp_path}/log")
         assert done.returncode == 1
         one_line(done, "No space left on device")
         assert load_tensors(run / "state.safetensors") and state_of(run).keys() == before.keys()

@@ -300,8 +300,8 @@ def test_another_study_is_refused(records, folder):
     records.close()
     before = content_of(folder)
     for facts, message in (
-        (FACTS | {"seed": 8}, "holds a study with seed = 7, and this one has 8"),
-        (FACTS | {"study_hash": "cd"}, "holds a study with study_hash = ab12.* and this one has cd"),
+        (FACTS | {"seed": 8}, "holds a study with seed = 7 and not 8:"),
+        (FACTS | {"study_hash": "cd"}, "holds a study with study_hash = ab12.* and not cd:"),
         ({"seed": 7}, "lacks study_hash"),
     ):
         with pytest.raises(ValueError, match=message) as refusal:
