@@ -1,16 +1,19 @@
 """The statistics against other people's numbers, against identities, and against data in which there is nothing."""
 
 import warnings
+from itertools import product
 
 import numpy as np
 import pandas as pd
 import pingouin
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import stats as scipy_stats
 
 from guidance.statistics.design import CONDITIONS, METRICS
 from guidance.statistics.paper import compare_with_paper, count_findings, published_results, reference_points
-from guidance.statistics.tests import run_tests
+from guidance.statistics.tests import run_tests, signed_rank_test
 
 LETTER = {name: condition.letter for name, condition in CONDITIONS.items()}
 
@@ -197,6 +200,30 @@ def test_repeated_games_are_refused():
     trials = synthetic_trials(users=5)
     with pytest.raises(ValueError, match=r"condition: S01 nhg, S01 oahg$"):
         run_tests(pd.concat([trials, trials.iloc[:2]]))
+
+
+@given(st.lists(st.integers(-3, 3), min_size=1, max_size=9).filter(any))
+def test_signed_ranks_with_ties_agree_with_all_signs(difference):
+    difference = np.array(difference, dtype=float)
+    ranks = scipy_stats.rankdata(np.abs(difference[difference != 0]))
+    signs = np.array(list(product((0, 1), repeat=len(ranks))))
+    w, p = signed_rank_test(difference)
+    assert w == min(ranks[difference[difference != 0] > 0].sum(), ranks[difference[difference != 0] < 0].sum())
+    assert p == pytest.approx(min(1, 2 * np.mean(signs @ ranks <= w)), abs=1e-12)
+
+
+@pytest.mark.parametrize("n", [3, 13, 20, 50, 51, 200])
+def test_signed_ranks_without_ties_agree_with_scipy(n):
+    difference = np.random.default_rng(n).normal(0.3, 1, size=n)
+    assert signed_rank_test(difference) == pytest.approx(tuple(scipy_stats.wilcoxon(difference)), abs=1e-12)
+
+
+def test_thirteen_people_need_no_enumeration_of_signs(monkeypatch):
+    """Which scipy's test does for up to 13 differences with ties: 8,192 for each of about 300 pairs, in minutes."""
+    monkeypatch.setattr(scipy_stats, "permutation_test", None)
+    trials = synthetic_trials(users=13)
+    tests = run_tests(trials.assign(comfort=trials["comfort"].round().clip(1, 7)))
+    assert tests.loc[tests["test"] == "posthoc", "rank_p"].notna().all()
 
 
 @pytest.mark.parametrize(
