@@ -59,7 +59,7 @@ def main(cfg: DictConfig) -> None:
     advance, opponent = partial(progress, f"{len(people)} people play"), greedy_player(league.player(cfg.opponent))
     data = collect_demonstrations(people, opponent, *sizes, table, cfg.users.variant, advisors, cfg.seed, advance)
     progress.close()
-    rows = dataset.people_table(people, list(population.style.archetypes))
+    rows = dataset.people_table(people, list(population["archetypes"]))
     dataset.write_tensors(folder / dataset.TENSORS, data)
     dataset.write_rows(folder / dataset.ROWS, data, rows["archetype"], table)
     write_text(folder / dataset.PEOPLE, rows.to_csv(index=False))

@@ -54,7 +54,7 @@ def main(cfg: DictConfig) -> None:
     people = sample_people(cfg.laboratory, cfg.seed, population)
     results, data = in_the_laboratory(people, cfg.users.variant, cfg.seed)
 
-    table, names = TableSpec(), list(population.style.archetypes)
+    table, names = TableSpec(), list(population["archetypes"])
     sizes = {"games": 2, "ticks": round(cfg.play_seconds / table.tick)}
     users = {"table": table, "variant": cfg.users.variant, "advisors": advisors}
 

@@ -91,7 +91,7 @@ def simulated(cfg: DictConfig, progress: ProgressBar) -> tuple[pd.DataFrame, dic
 
     with report_input_errors():
         setup, population = load_setup(cfg), load_population(cfg.users)
-        archetypes = list(population.style.archetypes)
+        archetypes = list(population["archetypes"])
         if cfg.user is not None and cfg.user not in archetypes:
             raise InputError(f"user = {cfg.user} must be one of {', '.join(archetypes)}, null")
         if cfg.skill is not None:

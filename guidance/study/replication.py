@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from math import log
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
@@ -18,8 +19,8 @@ from scipy.stats import qmc
 from airhockey_marl.experiment import parallel as cluster
 from airhockey_marl.experiment.validation import check_numbers
 from guidance.simulated_users import Population, load_population, sample_people
-from guidance.simulated_users.population import PARAMETER_TYPES, TRAITS, LogNormal, ScaledBeta
-from guidance.simulated_users.population.distributions import Proportion
+from guidance.simulated_users.population import TRAITS, LogNormal, ScaledBeta
+from guidance.simulated_users.population.parameters import PROPORTIONS
 from guidance.study.setup import load_setup
 from guidance.study.study import Cohort, run_studies
 
@@ -160,7 +161,7 @@ def scale_assumptions(population: Population, factors: Mapping[str, float]) -> P
     Of a log-normal parameter the median and the clip are scaled, of a Beta its scale; no proportion exceeds 1. A
     utility, `utility_weights.<name>`, has no natural zero: ln(factor) is added to its constant.
     """
-    parameters, changes, utilities = population.parameters(), {}, dict(population.intention.utility_weights)
+    parameters, changes, utilities = population.parameters, {}, dict(population["utility_weights"])
     for name, factor in factors.items():
         check_numbers(above=0.0, **{f"factors[{name!r}]": factor})
         row = name.removeprefix(UTILITY)
@@ -168,15 +169,15 @@ def scale_assumptions(population: Population, factors: Mapping[str, float]) -> P
             constant, *terms = utilities[row]
             utilities[row] = [constant + log(factor), *terms]
         elif name in parameters and not isinstance(parameters[name], Mapping):
-            changes[name] = _scaled(parameters[name], factor, PARAMETER_TYPES[name])
+            changes[name] = _scaled(name, parameters[name], factor)
         else:
             raise ValueError(f"sensitivity.parameters: {name} is not a parameter of people")
     return population.with_parameters(**changes, utility_weights=utilities)
 
 
-def _scaled(value: object, factor: float, kind: type) -> object:
+def _scaled(name: str, value: Any, factor: float) -> Any:
     if isinstance(value, LogNormal):
         return value._replace(median=factor * value.median, low=factor * value.low, high=factor * value.high)
     if isinstance(value, ScaledBeta):
         return value._replace(scale=min(1.0, factor * value.scale))
-    return min(1.0, factor * value) if kind is Proportion else factor * value
+    return min(1.0, factor * value) if name in PROPORTIONS else factor * value

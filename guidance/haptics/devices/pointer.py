@@ -16,7 +16,7 @@ ARM_PARAMETERS = ("muscle_lag", "arm_mass", "stiffness")  # those that vary betw
 def median_person() -> np.void:
     """A person (dtype `USER_PARAMETERS`) whose arm has the population's median parameters."""
     population = Population.default()
-    medians = {name: getattr(population.arm, name)._replace(log_sd=0.0) for name in ARM_PARAMETERS}
+    medians = {name: population[name]._replace(log_sd=0.0) for name in ARM_PARAMETERS}
     return sample_people(1, 0, population.with_parameters(**medians))[0]
 
 

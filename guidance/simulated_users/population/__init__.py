@@ -15,18 +15,12 @@ from math import erf, sqrt
 import numpy as np
 
 from guidance.simulated_users.population.distributions import LogNormal, ScaledBeta, is_number
-from guidance.simulated_users.population.parameters import (
-    PARAMETER_TYPES,
-    TRAITS,
-    UTILITY_TERMS,
-    Population,
-    UtilityRow,
-)
+from guidance.simulated_users.population.parameters import SECTIONS, TRAITS, UTILITY_TERMS, Population, UtilityRow
 
 # One record per person, SI units. A field named like a parameter of `Population` is that parameter.
 USER_PARAMETERS = np.dtype(
     [("archetype", np.int64), ("skill", np.float64), ("anticipated_bounces", np.int64), ("stiffening_gain", np.float64)]
-    + [(name, np.float64) for name in PARAMETER_TYPES if name not in ("utility_weights", "archetypes")]
+    + [(name, np.float64) for own in SECTIONS.values() for name in own if name not in ("utility_weights", "archetypes")]
     + [(name, np.float64) for name in ("rating_gain", "rating_bias", *TRAITS)]
     + [("utility_weights", np.float64, (len(UtilityRow), UTILITY_TERMS))]
 )
@@ -57,7 +51,7 @@ def training_people(seed: int, population: Population | None = None) -> np.ndarr
         (archetypes + 3,) structured array of dtype `USER_PARAMETERS`; none of them is drawn by `sample_people`.
     """
     population = population or Population.default()
-    return _sample([*population.style.archetypes, None, None, None], seed, PeopleStream.TRAINING, population)
+    return _sample([*population["archetypes"], None, None, None], seed, PeopleStream.TRAINING, population)
 
 
 def personal_streams(n: int, seed: int) -> np.ndarray:
@@ -71,8 +65,8 @@ def _sample(
     population = population or Population.default()
     people = np.zeros(len(archetypes), dtype=USER_PARAMETERS)
     for index, archetype in enumerate(archetypes):
-        if archetype is not None and archetype not in population.style.archetypes:
-            raise ValueError(f"archetype = {archetype!r} must be one of {', '.join(population.style.archetypes)}")
+        if archetype is not None and archetype not in population["archetypes"]:
+            raise ValueError(f"archetype = {archetype!r} must be one of {', '.join(population['archetypes'])}")
         # One generator per person: person k does not depend on how many are drawn.
         _fill_record(people[index], np.random.default_rng([int(seed), stream, index]), population, archetype)
     return people
@@ -80,18 +74,17 @@ def _sample(
 
 def _fill_record(person: np.void, rng: np.random.Generator, population: Population, archetype: str | None) -> None:
     """Draw one person. A seed means these people only as long as the order of the draws stays."""
-    style, movement, rating = population.style, population.movement, population.rating
-    names = list(style.archetypes)
+    names = list(population["archetypes"])
     random_archetype = names[rng.integers(len(names))]
     archetype = archetype or random_archetype
     person["archetype"] = names.index(archetype)
-    skill = style.skill_mean + style.skill_sd * rng.standard_normal()
+    skill = population["skill_mean"] + population["skill_sd"] * rng.standard_normal()
     person["skill"] = skill
-    parameters = population.parameters()
+    parameters = population.parameters
     residuals = {name: rng.standard_normal() for name, value in parameters.items() if isinstance(value, LogNormal)}
     # Correlate the residuals so that the two noises have the given correlation, part of which skill already makes.
-    by_skill = movement.noise_along.on_skill * movement.noise_across.on_skill
-    common = float(np.clip((movement.noise_correlation - by_skill) / max(1 - by_skill, 1e-9), 0, 1))
+    by_skill = population["noise_along"].on_skill * population["noise_across"].on_skill
+    common = float(np.clip((population["noise_correlation"] - by_skill) / max(1 - by_skill, 1e-9), 0, 1))
     residuals["noise_across"] = common * residuals["noise_along"] + sqrt(1 - common**2) * residuals["noise_across"]
     for name, value in parameters.items():
         if isinstance(value, LogNormal):
@@ -101,15 +94,14 @@ def _fill_record(person: np.void, rng: np.random.Generator, population: Populati
         elif is_number(value):
             person[name] = value
     person["heading_noise"], person["bounce_noise"] = np.radians([person["heading_noise"], person["bounce_noise"]])
-    person["decision_delay"] += population.intention.response_delay
-    person["bounce_anticipation"] = 0.5 * (1 + erf((population.perception.bounce_anticipation + skill) / sqrt(2)))
+    person["decision_delay"] += population["response_delay"]
+    person["bounce_anticipation"] = 0.5 * (1 + erf((population["bounce_anticipation"] + skill) / sqrt(2)))
     person["anticipated_bounces"] = 1 if skill < 0 else 2
-    response = population.force_response
-    gain = rng.gamma(response.stiffening_gain_shape, response.stiffening_gain_scale)
+    gain = rng.gamma(population["stiffening_gain_shape"], population["stiffening_gain_scale"])
     person["stiffening_gain"] = min(gain, MAX_STIFFENING_GAIN)
-    person["rating_gain"] = np.exp(rating.rating_gain_log_sd * rng.standard_normal())
-    person["rating_bias"] = rating.rating_bias_sd * rng.standard_normal()
-    person["utility_weights"] = [population.intention.utility_weights[name] for name in UtilityRow.__members__]
-    concentration = style.trait_concentration
-    for name, mean in zip(TRAITS, style.archetypes[archetype], strict=True):
+    person["rating_gain"] = np.exp(population["rating_gain_log_sd"] * rng.standard_normal())
+    person["rating_bias"] = population["rating_bias_sd"] * rng.standard_normal()
+    person["utility_weights"] = [population["utility_weights"][name] for name in UtilityRow.__members__]
+    concentration = population["trait_concentration"]
+    for name, mean in zip(TRAITS, population["archetypes"][archetype], strict=True):
         person[name] = mean if np.isinf(concentration) else rng.beta(concentration * mean, concentration * (1 - mean))

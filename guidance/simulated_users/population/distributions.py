@@ -1,14 +1,9 @@
 """How a parameter is distributed over people, and the checks of what a configuration gives for it."""
 
 from math import inf, sqrt
-from typing import NamedTuple, NewType
+from typing import Any, NamedTuple
 
 import numpy as np
-
-# Parameters that everybody has in common, by their range. A plain float may be anything from 0.
-Positive = NewType("Positive", float)
-Proportion = NewType("Proportion", float)  # 0 to 1
-Signed = NewType("Signed", float)
 
 
 class LogNormal(NamedTuple):
@@ -55,26 +50,9 @@ def is_number(value: object) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and value == value
 
 
-def parse_parameter(kind: type, name: str, value: object) -> object:
-    """Convert the value of a configuration to `kind`: one of this module's types, or float.
-
-    Args:
-        name: the full key of the configuration, for the message.
-
-    Raises:
-        ValueError: the value does not fit; names the key, the value and what is allowed.
-    """
-    if kind in (LogNormal, ScaledBeta):
-        numbers = isinstance(value, list | tuple) and len(value) == len(kind._fields) and all(map(is_number, value))
-        if numbers and kind(*value).is_valid():
-            return kind(*value)
+def require_distribution(name: str, value: Any, kind: type[LogNormal] | type[ScaledBeta]) -> LogNormal | ScaledBeta:
+    """Convert the numbers of a configuration to a distribution; raises a ValueError that names them."""
+    are_numbers = isinstance(value, list | tuple) and len(value) == len(kind._fields) and all(map(is_number, value))
+    if not are_numbers or not kind(*value).is_valid():
         raise ValueError(f"{name} = {value} must be {ALLOWED[kind]}")
-    for scalar, fits, allowed in (
-        (Positive, is_number(value) and value > 0, "above 0"),
-        (Proportion, is_number(value) and 0 <= value <= 1, "in 0..1"),
-        (Signed, is_number(value), ""),
-        (float, is_number(value) and value >= 0, "of at least 0"),
-    ):
-        if kind is scalar and not fits:
-            raise ValueError(f"{name} = {value} must be a number {allowed}".rstrip())
-    return value
+    return kind(*value)

@@ -1,27 +1,40 @@
-"""`Population`: the distribution of every parameter of a simulated person, in the sections of `conf/users/*.yaml`.
+"""`Population`: the distribution of every parameter of a simulated person.
 
-Units, sources and the list of assumed values are in `conf/users/default.yaml`.
+`conf/users/default.yaml` is the list of the parameters, in sections, with their units and sources. The form that a
+parameter has there, it has in every configuration: log-normal (five numbers), scaled Beta (three), or a plain number,
+which is the same for everybody and at least 0 unless it is named here.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Collection, Mapping, Sequence
 from enum import IntEnum
-from functools import cache
+from math import inf, nan
 from typing import Any
 
 from omegaconf import OmegaConf
 
 from airhockey_marl.experiment.command import CONF
-from airhockey_marl.experiment.registry import construct
+from airhockey_marl.experiment.registry import as_mapping, did_you_mean
 from guidance.simulated_users.population.distributions import (
     LogNormal,
-    Positive,
-    Proportion,
     ScaledBeta,
-    Signed,
     is_number,
-    parse_parameter,
+    require_distribution,
 )
+
+PLACE = "users.population"
+SECTIONS = OmegaConf.to_container(OmegaConf.load(CONF / "users" / "default.yaml").population)
+_POSITIVE = (
+    "degrees_per_meter weber_min_speed velocity_jump position_jump min_guard_distance press_distance min_smash_speed "
+    "control_speed max_strike_speed swing_time direct_strike_horizon min_strike_time min_correction_time "
+    "start_effort_limit continue_effort_limit min_move_time max_move_time noise_hold_time deceleration_time "
+    "max_stiffness_ratio goal_radius saturating_conflict stiffening_gain_shape co_contraction_time sharing_range "
+    "partner_stiffness partner_lead_time trust_time hindsight_delay trait_concentration"
+)
+POSITIVE = frozenset(_POSITIVE.split())
+PROPORTIONS = frozenset(
+    ["noise_autocorrelation", "lateral_tracking_gain", "max_aim", "noise_correlation", "initial_trust"]
+)
+SIGNED = {"bounce_anticipation", "skill_mean"}
 
 TRAITS = ("aggression", "press", "bank", "shadow", "power", "guard_depth")
 UTILITY_TERMS = 6  # a constant, the weights of four traits, and that of an open goal
@@ -43,246 +56,82 @@ class UtilityRow(IntEnum):
     near_shadow = 10
 
 
-class Section:
-    """A section of the population; converts its parameters, and names them in errors as the configuration does."""
-
-    key: str
-
-    def __init_subclass__(cls, key: str) -> None:
-        cls.key = f"users.population.{key}"
-
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = parse_parameter(item.type, f"{self.key}.{item.name}", getattr(self, item.name))
-            object.__setattr__(self, item.name, value)
-
-
-@dataclass(frozen=True)
-class Perception(Section, key="perception"):
-    """Delay and noise of vision, and the anticipation of bounces."""
-
-    visual_delay: LogNormal
-    speed_noise: LogNormal
-    heading_noise: LogNormal
-    bounce_noise: LogNormal
-    bounce_anticipation: Signed
-    noise_autocorrelation: Proportion
-    degrees_per_meter: Positive
-    weber_min_speed: Positive
-
-
-@dataclass(frozen=True)
-class Situation(Section, key="situation"):
-    """Thresholds by which a situation and an event are recognized."""
-
-    min_approach_speed: float
-    arrival_horizon: float
-    departure_speed: float
-    reach_margin: float
-    velocity_jump: Positive
-    position_jump: Positive
-
-
-@dataclass(frozen=True)
-class Intention(Section, key="intention"):
-    """Delays and utilities of the choice between intentions."""
-
-    response_delay: float
-    decision_delay: LogNormal
-    delay_noise: float
-    choice_temperature: LogNormal
-    dwell: LogNormal
-    reconsider_time: float
-    persistence_bonus: float
-    advisor_weight: float
-    strike_timeout: float
-    utility_weights: Mapping[str, Sequence[float]]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        names = UtilityRow.__members__
-        for name in sorted(set(self.utility_weights) ^ set(names)):
-            allowed = "must be given" if name in names else f"must be one of {', '.join(names)}"
-            raise ValueError(f"{self.key}.utility_weights.{name} {allowed}")
-        for name, terms in self.utility_weights.items():
-            if len(terms) != UTILITY_TERMS or not all(map(is_number, terms)):
-                raise ValueError(f"{self.key}.utility_weights.{name} = {terms} must be {UTILITY_TERMS} numbers")
-
-
-@dataclass(frozen=True)
-class Positioning(Section, key="positioning"):
-    """Where the paddle is kept."""
-
-    min_guard_distance: Positive
-    guard_range: float
-    position_jitter: float
-    lateral_tracking_gain: Proportion
-    press_distance: Positive
-    goal_margin: float
-    clearance: float
-
-
-@dataclass(frozen=True)
-class Striking(Section, key="striking"):
-    """Speeds, times, effort and aim of a strike."""
-
-    min_smash_speed: Positive
-    smash_speed_range: float
-    control_speed: Positive
-    max_strike_speed: Positive
-    swing_time: Positive
-    direct_strike_horizon: Positive
-    min_strike_time: Positive
-    min_correction_time: Positive
-    strike_time_slack: float
-    start_effort_limit: Positive
-    continue_effort_limit: Positive
-    aim_spread: float
-    opponent_avoidance: float
-    max_aim: Proportion
-
-
-@dataclass(frozen=True)
-class Movement(Section, key="movement"):
-    """Planning of a movement, and motor noise."""
-
-    plan_period: LogNormal
-    preferred_acceleration: LogNormal
-    min_move_time: Positive
-    max_move_time: Positive
-    timing_noise: LogNormal
-    noise_along: LogNormal
-    noise_across: LogNormal
-    noise_correlation: Proportion
-    tremor: float
-    noise_hold_time: Positive
-    follow_through_time: float
-    deceleration_time: Positive
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not self.min_move_time <= self.max_move_time:
-            raise ValueError(f"{self.key}.min_move_time = {self.min_move_time} must be at most max_move_time")
-
-
-@dataclass(frozen=True)
-class Arm(Section, key="arm"):
-    """Mechanics of the arm and the device's handle."""
-
-    muscle_lag: LogNormal
-    arm_mass: LogNormal
-    device_mass: float
-    device_damping: float
-    stiffness: LogNormal
-    max_stiffness_ratio: Positive
-    damping_time: float
-
-
-@dataclass(frozen=True)
-class ForceResponse(Section, key="force_response"):
-    """Delays and gains of the response to a force."""
-
-    tactile_delay: LogNormal
-    proprioceptive_delay: float
-    force_threshold: float
-    goal_radius: Positive
-    saturating_conflict: Positive
-    stiffening_gain_shape: Positive
-    stiffening_gain_scale: float
-    co_contraction_time: Positive
-    resistance: ScaledBeta
-    slacking: ScaledBeta
-    sharing_weight: ScaledBeta
-    sharing_range: Positive
-    partner_stiffness: Positive
-    partner_lead_time: Positive
-    trust_time: Positive
-    initial_trust: Proportion
-
-
-@dataclass(frozen=True)
-class Rating(Section, key="rating"):
-    """The rating proxies and the use of their scale."""
-
-    hindsight_delay: Positive
-    stiffening_cost: float
-    surprise_time: Positive
-    rating_gain_log_sd: float
-    rating_bias_sd: float
-    rating_noise: float
-
-
-@dataclass(frozen=True)
-class Style(Section, key="style"):
-    """Skill and playstyle."""
-
-    skill_mean: Signed
-    skill_sd: float
-    trait_concentration: Positive
-    archetypes: Mapping[str, Sequence[float]]
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        for name, means in self.archetypes.items():
-            if len(means) != len(TRAITS) or not all(is_number(mean) and 0 < mean < 1 for mean in means):
-                raise ValueError(f"{self.key}.archetypes.{name} = {means} must be {len(TRAITS)} means between 0 and 1")
-        if not self.archetypes:
-            raise ValueError(f"{self.key}.archetypes = {{}} must hold at least one archetype")
-
-
-@dataclass(frozen=True)
 class Population:
     """The distribution of people: `population` in `conf/users/*.yaml`, where each parameter is explained.
 
-    Each section may be given as a mapping. Names of parameters are unique over all sections.
+    Names of parameters are unique over all sections: `population["stiffness"]` is that of the section `arm`.
+
+    Args:
+        sections: of each section the parameters by name.
+
+    Attributes:
+        parameters: all parameters by name, section by section. Their order is that of the random draws of a person.
 
     Raises:
         ValueError: a parameter is missing, unknown or out of range; names its key, the value and what is allowed.
     """
 
-    perception: Perception
-    situation: Situation
-    intention: Intention
-    positioning: Positioning
-    striking: Striking
-    movement: Movement
-    arm: Arm
-    force_response: ForceResponse
-    rating: Rating
-    style: Style
+    def __init__(self, **sections: Mapping[str, Any]) -> None:
+        _require_names(sections, SECTIONS, PLACE)
+        self.parameters: dict[str, Any] = {}
+        for section, shipped in SECTIONS.items():
+            place = f"{PLACE}.{section}"
+            values = as_mapping(sections[section], place)
+            _require_names(values, shipped, place)
+            for name, form in shipped.items():
+                self.parameters[name] = _parse(name, f"{place}.{name}", values[name], form)
+        if not self["min_move_time"] <= self["max_move_time"]:
+            raise ValueError(f"{PLACE}.movement.min_move_time = {self['min_move_time']} must be at most max_move_time")
 
-    def __post_init__(self) -> None:
-        for item in fields(self):
-            value = getattr(self, item.name)
-            if not isinstance(value, item.type):
-                object.__setattr__(self, item.name, construct(item.type, value, item.type.key))
+    def __getitem__(self, name: str) -> Any:
+        return self.parameters[name]
 
     @classmethod
     def default(cls, **changes: Any) -> "Population":
         """The population of `conf/users/default.yaml` with some parameters changed."""
-        return _default().with_parameters(**changes)
-
-    def parameters(self) -> dict[str, Any]:
-        """All parameters by name, section by section. Their order is that of the random draws of a person."""
-        sections = (getattr(self, item.name) for item in fields(self))
-        return {item.name: getattr(section, item.name) for section in sections for item in fields(section)}
+        return cls(**SECTIONS).with_parameters(**changes)
 
     def with_parameters(self, **changes: Any) -> "Population":
         """A copy with some parameters changed."""
         for name in changes:
-            if name not in PARAMETER_TYPES:
-                raise ValueError(f"users.population: {name} must be one of {', '.join(PARAMETER_TYPES)}")
-        sections = {}
-        for item in fields(self):
-            own = {name: value for name, value in changes.items() if name in item.type.__dataclass_fields__}
-            sections[item.name] = replace(getattr(self, item.name), **own)
-        return Population(**sections)
+            if name not in self.parameters:
+                raise ValueError(f"{PLACE}: {name} must be one of {', '.join(self.parameters)}")
+        values = self.parameters | changes
+        return Population(**{section: {name: values[name] for name in names} for section, names in SECTIONS.items()})
 
 
-@cache
-def _default() -> Population:
-    conf = OmegaConf.to_container(OmegaConf.load(CONF / "users" / "default.yaml").population)
-    return Population(**conf)
+def _require_names(given: Collection[str], allowed: Collection[str], place: str) -> None:
+    for name in sorted({*given} ^ {*allowed}):
+        unknown = f"no such setting, must be one of {', '.join(allowed)}{did_you_mean(name, allowed)}"
+        raise ValueError(f"{place}.{name} {'is missing' if name in allowed else unknown}")
 
 
-PARAMETER_TYPES = {item.name: item.type for section in fields(Population) for item in fields(section.type)}
+def _parse(name: str, place: str, value: Any, form: Any) -> Any:
+    """Check and convert a parameter; `form` is its value in `conf/users/default.yaml`."""
+    if name == "utility_weights":
+        _require_names(value, UtilityRow.__members__, place)
+        return {row: _numbers(f"{place}.{row}", terms, UTILITY_TERMS, "numbers") for row, terms in value.items()}
+    if name == "archetypes":
+        if not value:
+            raise ValueError(f"{place} = {{}} must hold at least one archetype")
+        between = "means between 0 and 1"
+        return {key: _numbers(f"{place}.{key}", means, len(TRAITS), between, 0, 1) for key, means in value.items()}
+    if isinstance(form, list):
+        return require_distribution(place, value, LogNormal if len(form) == len(LogNormal._fields) else ScaledBeta)
+    number = value if is_number(value) else nan
+    if name in POSITIVE:
+        fits, allowed = number > 0, "above 0"
+    elif name in PROPORTIONS:
+        fits, allowed = 0 <= number <= 1, "in 0..1"
+    else:
+        fits, allowed = (number == number, "") if name in SIGNED else (number >= 0, "of at least 0")
+    if not fits:
+        raise ValueError(f"{place} = {value} must be a number {allowed}".rstrip())
+    return value
+
+
+def _numbers(place: str, values: Sequence[float], count: int, kind: str, low: float = -inf, high: float = inf) -> Any:
+    """Require `count` numbers between `low` and `high`."""
+    if len(values) != count or not all(is_number(value) and low < value < high for value in values):
+        raise ValueError(f"{place} = {values} must be {count} {kind}")
+    return values

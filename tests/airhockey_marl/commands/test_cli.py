@@ -235,7 +235,7 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
         ("validate_users", "play_seconds=1", "play_seconds = 1 must be a finite number of at least 10"),
         ("validate_users", "laboratory=1", "laboratory = 1 must be a whole number of at least 2"),
         ("validate_users", "users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist"),
-        ("validate_users", "~users.population.intention.utility_weights.away_wait", "away_wait must be given"),
+        ("validate_users", "~users.population.intention.utility_weights.away_wait", "away_wait is missing"),
         ("validate_users", "users.population.situation.position_jump=0", "position_jump = 0 must be a number above 0"),
         ("meta_train", "users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist"),
         ("evaluate", "users.withdrawn=[joy]", "users.withdrawn: 'joy' must be one of helpfulness"),

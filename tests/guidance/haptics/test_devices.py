@@ -31,12 +31,12 @@ def pass_time(device, seconds, force=(0.0, 0.0)):
 
 
 def test_the_median_person_has_the_median_arm():
-    person, arm = median_person(), Population.default().arm
+    person, arm = median_person(), Population.default()
     for name in ("stiffness", "arm_mass", "muscle_lag"):
-        assert person[name] == getattr(arm, name).median
+        assert person[name] == arm[name].median
         people = sample_people(400, 5)[name]
         assert 0.4 < (people < person[name]).mean() < 0.6
-    assert person["device_mass"] == arm.device_mass and person["damping_time"] == arm.damping_time
+    assert person["device_mass"] == arm["device_mass"] and person["damping_time"] == arm["damping_time"]
 
 
 def test_without_a_force_the_hand_is_exactly_at_the_pointer():

@@ -105,7 +105,7 @@ def test_reaches_that_miss_have_no_movement_time(people):
 
 
 def test_identical_people_react_alike():
-    parameters = Population.default().parameters()
+    parameters = Population.default().parameters
     same = {name: value._replace(log_sd=0.0) for name, value in parameters.items() if isinstance(value, LogNormal)}
     clones = sample_people(8, 5, Population.default(**same, skill_sd=0.0, delay_noise=0.0))
     others = sample_people(8, 5, Population.default(delay_noise=0.0))

@@ -37,7 +37,7 @@ def advisors():
 def games(population: Population, seed: int, opponent, advisors) -> tuple[np.ndarray, list[np.ndarray]]:
     """Archetypes (n,), and the features (n, 10) of each of two games."""
     people = np.concatenate(
-        [sample_people(EACH, seed + i, population, a) for i, a in enumerate(population.style.archetypes)]
+        [sample_people(EACH, seed + i, population, a) for i, a in enumerate(population["archetypes"])]
     )
     data = collect_demonstrations(people, opponent, 2, TICKS, TABLE, "comply_or_resist", advisors, seed)
     return people["archetype"], [features(data.observation[:, game], TABLE) for game in (0, 1)]
@@ -53,7 +53,7 @@ def test_games_identify_playstyle_and_person(opponent, advisors):
 
 def test_games_of_identical_people_identify_neither(opponent, advisors):
     default = Population.default()
-    same = {k: value._replace(log_sd=0.0) for k, value in default.parameters().items() if isinstance(value, LogNormal)}
+    same = {k: value._replace(log_sd=0.0) for k, value in default.parameters.items() if isinstance(value, LogNormal)}
     alike = {name: [0.5] * 6 for name in default.style.archetypes}
     population = Population.default(**same, archetypes=alike, trait_concentration=np.inf, skill_sd=0.0)
     style, (known, _) = games(population, 4000, opponent, advisors)

@@ -38,12 +38,12 @@ def test_each_assumption_changes_people_and_stays_valid():
 
 def test_scaled_distributions_keep_their_shape_and_proportions_their_limit():
     usual = Population.default()
-    law = scale_assumptions(usual, {"dwell": 1.4}).intention.dwell
+    law = scale_assumptions(usual, {"dwell": 1.4})["dwell"]
     assert law == pytest.approx((1.4 * 0.21, 0.2, 1.4 * 0.15, 1.4 * 0.30, -0.3))
-    assert scale_assumptions(usual, {"resistance": 1.5}).force_response.resistance.scale == 1.0
-    assert scale_assumptions(usual, {"max_aim": 1.5}).striking.max_aim == 1.0
+    assert scale_assumptions(usual, {"resistance": 1.5})["resistance"].scale == 1.0
+    assert scale_assumptions(usual, {"max_aim": 1.5})["max_aim"] == 1.0
     scaled = scale_assumptions(usual, {"utility_weights.near_smash": np.e})
-    before, after = (population.intention.utility_weights["near_smash"] for population in (usual, scaled))
+    before, after = (population["utility_weights"]["near_smash"] for population in (usual, scaled))
     assert after[0] == pytest.approx(before[0] + 1) and list(after[1:]) == list(before[1:])
 
 
