@@ -10,12 +10,9 @@ import os
 import signal
 import sys
 import types
-from bisect import bisect_left
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
-from dataclasses import dataclass
 from importlib import import_module
-from itertools import accumulate
 from multiprocessing.connection import Connection
 from time import monotonic, perf_counter, sleep
 from typing import Any, NamedTuple
@@ -27,34 +24,14 @@ from guidance.haptics.servo import PERIOD, ServoLoop, message_of
 from guidance.haptics.shared_record import SharedRecord
 
 SPIN = 0.0002  # s before its due time in which a step polls the clock instead of sleeping
-LATE = PERIOD / 2  # s of delay from which a step counts as late
 ORPHAN_STEPS = 20  # steps between two checks whether the parent is alive
 PRIORITY, NICENESS = 20, -15  # where the system allows them
-LONGEST = 20_000  # us, longer periods are counted in the last bin
 OPEN_TIMEOUT, RELEASE_TIMEOUT, END_TIMEOUT = 30.0, 0.25, 2.0  # s
 HANG_TIMEOUT = 0.25  # s without a step
 FAULT_BYTES = 300
 
 DeviceFactory = Callable[[], Device] | tuple[str, str, Mapping[str, Any]]
 """Opens a device in another process: a picklable callable, or a module, a name in it and keyword arguments."""
-
-
-@dataclass(frozen=True)
-class Timing:
-    """How regular the servo's periods were.
-
-    Attributes:
-        steps: number of periods measured.
-        p50, p99: s, quantiles of the period, with a resolution of 1 us.
-        longest: s, the longest period.
-        late: number of steps that began more than half a period late.
-    """
-
-    steps: int
-    p50: float
-    p99: float
-    longest: float
-    late: int
 
 
 class Request(NamedTuple):
@@ -73,7 +50,6 @@ class Report(NamedTuple):
     """What the servo process reports after each step."""
 
     steps: int = 0
-    late: int = 0
     releases: int = 0  # the last release that was answered
     x: float = 0.0
     y: float = 0.0
@@ -81,22 +57,12 @@ class Report(NamedTuple):
     velocity_y: float = 0.0
     force_x: float = 0.0
     force_y: float = 0.0
-    longest: float = 0.0
     is_held: bool = False
     fault: bytes = b""
 
 
 REQUEST_LAYOUT = "=q2d?2q?"
-REPORT_LAYOUT = f"=3q6dd?{FAULT_BYTES}s"
-
-
-@dataclass(frozen=True)
-class Shared:
-    """Memory that both processes see: the requests, the reports, and the histogram of periods by us."""
-
-    requests: SharedRecord
-    reports: SharedRecord
-    periods: Any
+REPORT_LAYOUT = f"=2q6d?{FAULT_BYTES}s"
 
 
 class ServoProcess(HapticHand):
@@ -116,14 +82,11 @@ class ServoProcess(HapticHand):
     def __init__(self, open_device: DeviceFactory, limits: SafetyLimits) -> None:
         super().__init__()
         context = multiprocessing.get_context("spawn")
-        self._shared = Shared(
-            SharedRecord(REQUEST_LAYOUT, context, *Request()),
-            SharedRecord(REPORT_LAYOUT, context, *Report()),
-            context.RawArray("Q", LONGEST + 1),
-        )
+        self._requests = SharedRecord(REQUEST_LAYOUT, context, *Request())
+        self._reports = SharedRecord(REPORT_LAYOUT, context, *Report())
         self._request, self._report, self._report_time = Request(), Report(), monotonic()
         ours, theirs = context.Pipe(duplex=False)
-        arguments = open_device, limits, self._shared, theirs
+        arguments = open_device, limits, self._requests, self._reports, theirs
         self._process = context.Process(target=_serve, args=arguments, daemon=True, name="servo")
         with _without_main():
             self._process.start()
@@ -141,10 +104,10 @@ class ServoProcess(HapticHand):
 
     def _send(self, **changes: Any) -> None:
         self._request = self._request._replace(**changes)
-        self._shared.requests.write(*self._request)
+        self._requests.write(*self._request)
 
     def _read(self) -> Report:
-        values = self._shared.reports.read()
+        values = self._reports.read()
         report = self._report if values is None else Report(*values)
         if report.steps != self._report.steps:
             self._report_time = monotonic()
@@ -173,6 +136,11 @@ class ServoProcess(HapticHand):
     def is_held(self) -> bool:
         return self._read().is_held
 
+    @property
+    def steps(self) -> int:
+        """Number of steps of the servo so far."""
+        return self._read().steps
+
     def _fault(self) -> str | None:
         fault = self._read().fault.rstrip(b"\0").decode("utf-8", "ignore")
         if not self._process.is_alive():
@@ -196,12 +164,6 @@ class ServoProcess(HapticHand):
             sleep(PERIOD)
         return self._report.releases == self._request.releases and self.fault is None
 
-    def timing(self) -> Timing:
-        """How regular the periods were since the device was opened."""
-        counts, report = list(accumulate(self._shared.periods)), self._read()
-        p50, p99 = (1e-6 * bisect_left(counts, quantile * counts[-1]) for quantile in (0.5, 0.99))
-        return Timing(counts[-1], p50, p99, report.longest, report.late)
-
     def _close(self) -> None:
         atexit.unregister(self.close)
         self._send(stop=True)
@@ -223,7 +185,9 @@ def _without_main() -> Iterator[None]:
         sys.modules["__main__"] = main
 
 
-def _serve(open_device: DeviceFactory, limits: SafetyLimits, shared: Shared, opened: Connection) -> None:
+def _serve(
+    open_device: DeviceFactory, limits: SafetyLimits, requests: SharedRecord, reports: SharedRecord, opened: Connection
+) -> None:
     """Main function of the process: open the device, run the loop, and always leave the device without a force."""
     signals: list[int] = []
     for number in (signal.SIGTERM, signal.SIGINT):
@@ -242,17 +206,16 @@ def _serve(open_device: DeviceFactory, limits: SafetyLimits, shared: Shared, ope
         loop = ServoLoop(device, limits)
         opened.send(None)
         opened.close()
-        _run(loop, shared, signals)
+        _run(loop, requests, reports, signals)
     finally:
         for end in (device.relax, device.close):
             with suppress(Exception):
                 end()
 
 
-def _run(loop: ServoLoop, shared: Shared, signals: list[int]) -> None:
-    parent, safety, last_request = multiprocessing.parent_process(), loop.safety, Request()
-    steps = late = 0
-    longest, fault, fault_bytes = 0.0, None, b""
+def _run(loop: ServoLoop, requests: SharedRecord, reports: SharedRecord, signals: list[int]) -> None:
+    parent, last_request = multiprocessing.parent_process(), Request()
+    steps, fault, fault_bytes = 0, None, b""
     due = last = perf_counter()
     while not signals:
         due += PERIOD
@@ -261,25 +224,21 @@ def _run(loop: ServoLoop, shared: Shared, signals: list[int]) -> None:
             sleep(remaining)
         while (now := perf_counter()) < due:
             pass
-        period = now - last
-        values = shared.requests.read()
+        values = requests.read()
         if values is not None:
             request = Request(*values)
             if request.stop:
                 break
             _apply(request, last_request, loop)
             last_request = request
-        loop.step(period)
-        steps, last, longest = steps + 1, now, max(longest, period)
-        shared.periods[min(int(period * 1e6 + 0.5), LONGEST)] += 1
-        if now - due > LATE:
-            late += 1
-            due = max(due, now - PERIOD)  # missed steps are skipped
-        if safety.fault != fault:
-            fault = safety.fault
+        loop.step(now - last)
+        steps, last = steps + 1, now
+        due = max(due, now - PERIOD)  # missed steps are skipped
+        if loop.safety.fault != fault:
+            fault = loop.safety.fault
             fault_bytes = (fault or "").encode()[:FAULT_BYTES]
         hand = *loop.position, *loop.velocity, *loop.force
-        shared.reports.write(steps, late, last_request.releases, *hand, longest, loop.is_held, fault_bytes)
+        reports.write(steps, last_request.releases, *hand, loop.is_held, fault_bytes)
         # not by the parent's sentinel, which its other children may keep open
         if steps % ORPHAN_STEPS == 0 and os.getppid() != parent.pid:
             break

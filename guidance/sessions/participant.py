@@ -5,27 +5,17 @@ import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from airhockey_marl.experiment.files import load_json
 from guidance.sessions.game import Game, load_games
 from guidance.sessions.json_files import save_json
 from guidance.sessions.recording import Columns, Recording, recover_games
 
+if TYPE_CHECKING:
+    from guidance.sessions.bids import Records
+
 NOT_LABELS = ("na", "nan", "null", "none")  # which programs read as a missing value
-
-
-class Study(Protocol):
-    """The part of `guidance.sessions.bids.Records` that a participant uses."""
-
-    folder: Path
-    places: dict[str, int]
-
-    def require_no_game(self) -> None: ...
-
-    def set_active(self, recording: Recording) -> Recording: ...
-
-    def save_trials(self) -> None: ...
 
 
 class Participant:
@@ -38,18 +28,13 @@ class Participant:
         games: name -> complete game, including `UNSCORED`, ordered by position.
     """
 
-    def __init__(self, study: Study, label: str) -> None:
+    def __init__(self, study: "Records", label: str) -> None:
         self._study, self.label, self.place = study, label, study.places[label]
         self._folder = study.folder / f"sub-{label}"
         recover_games(self._folder / "beh")
         consent = self._folder / f"sub-{label}_consent.json"
         self.consent = load_json(consent) if consent.exists() else None
         self.games: dict[str, Game] = load_games(self._folder / "beh")
-
-    @property
-    def interrupted(self) -> list[Path]:
-        """The tables of interrupted games, which are not evaluated."""
-        return sorted((self._folder / "beh").glob("*_desc-interrupted*_beh.tsv"))
 
     def give_consent(self, text: str) -> None:
         """Record the person's consent to this text; repeating it changes nothing.

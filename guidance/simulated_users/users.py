@@ -129,7 +129,9 @@ class SimulatedUsers:
     @property
     def action(self) -> np.ndarray:
         """(n, 2) the result of the last `step`."""
-        return _read_only(self._arrays.actions)
+        view = self._arrays.actions.view()
+        view.flags.writeable = False
+        return view
 
     @property
     def hand(self) -> np.ndarray:
@@ -145,21 +147,21 @@ class SimulatedUsers:
     def goal(self) -> np.ndarray:
         """(n, 2) the hand's intended position, m. Private: for display, anchors and tests, never for guidance."""
         states = self._arrays.states
-        return _read_only(np.stack([states["goal_x"], states["goal_y"]], axis=1))
+        return np.stack([states["goal_x"], states["goal_y"]], axis=1)
 
     @property
     def intention(self) -> np.ndarray:
         """(n,) int, members of `Intention`. Private, as `goal`."""
-        return _read_only(self._arrays.states["intention"].copy())
+        return self._arrays.states["intention"].copy()
 
     @property
     def time_to_contact(self) -> np.ndarray:
         """(n,) s until the planned contact with the puck; infinite where none is planned. Private, as `goal`."""
-        return _read_only(self._arrays.states["time_to_contact"].copy())
+        return self._arrays.states["time_to_contact"].copy()
 
     def _of_arm(self, name: str) -> np.ndarray:
         arm = self._arrays.arms[:, 0]
-        return _read_only(np.stack([arm[name + "_x"], arm[name + "_y"]], axis=1))
+        return np.stack([arm[name + "_x"], arm[name + "_y"]], axis=1)
 
     @property
     def signals(self) -> np.ndarray:
@@ -182,9 +184,3 @@ class SimulatedUsers:
                 raise ValueError(f"scales.{name} = {value} must be a number above 0")
         z = rating_z_scores(self.signals / np.array([scales[name] for name in SIGNALS]))
         return likert_points(self.people, z, self.streams)
-
-
-def _read_only(array: np.ndarray) -> np.ndarray:
-    view = array.view()
-    view.flags.writeable = False
-    return view

@@ -20,7 +20,6 @@ from numba import njit
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.puck_path import BLOCKED, NO_OUTCOME, heads_for_goal, shot_outcome
 from airhockey_marl.experiment.registry import Registry
-from airhockey_marl.experiment.validation import check_rows, kind_of
 
 EXTRA_METRICS: Registry[Callable[[int, TableSpec], "ExtraMetric"]] = Registry("metric")
 """Metrics of plug-ins, measured beside the paper's four: called with the number of games and the table."""
@@ -120,25 +119,12 @@ def _ratio(part: np.ndarray, total: np.ndarray) -> np.ndarray:
 
 def metric_values(counters: np.ndarray) -> dict[str, np.ndarray]:
     """The four metrics (n,) of n games; NaN where one is undefined."""
-    if counters.dtype != METRIC_COUNTERS or counters.ndim != 1:
-        raise ValueError(f"counters: {kind_of(counters)}, must be METRIC_COUNTERS of shape (n,)")
     return {
         "win_rate": _ratio(counters["won"], counters["won"] + counters["lost"]),
         "mean_smash_speed": _ratio(counters["smash_speed"], counters["smashes"]),
         "defense_rate": _ratio(counters["blocked"], counters["shots"]),
         "mean_disagreement": _ratio(counters["disagreement"], counters["ticks"]),
     }
-
-
-@njit(cache=True)
-def _add(games, values, count, mean, squares):
-    for k in range(len(games)):
-        i, value = games[k], values[k]
-        if value == value:
-            count[i] += 1
-            change = value - mean[i]
-            mean[i] += change / count[i]
-            squares[i] += change * (value - mean[i])
 
 
 class RunningMoments:
@@ -148,11 +134,13 @@ class RunningMoments:
         self.count, self.mean, self._squares = np.zeros(n), np.zeros(n), np.zeros(n)
 
     def add(self, games: np.ndarray, values: np.ndarray) -> None:
-        """Add values (k,) of games (k,), skipping NaN."""
-        check_rows("games", games, len(self.count))
-        if np.shape(values) != games.shape or values.dtype.kind != "f":
-            raise ValueError(f"values: {kind_of(values)}, must be floats of shape {games.shape}")
-        _add(games, values, self.count, self.mean, self._squares)
+        """Add values (k,) of games (k,), each at most once, skipping NaN."""
+        known = ~np.isnan(values)
+        games, values = games[known], values[known]
+        self.count[games] += 1
+        change = values - self.mean[games]
+        self.mean[games] += change / self.count[games]
+        self._squares[games] += change * (values - self.mean[games])
 
     def result(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and population SD (n,) of each game; NaN where nothing was added."""

@@ -11,7 +11,6 @@ from airhockey_marl.envs.physics import TableSpec
 from guidance.study.models import Models
 from guidance.user_model.data import Demonstrations, action_ahead
 from guidance.user_model.evaluation import (
-    Predictor,
     adapted_model,
     model_predictor,
     prediction_metrics,
@@ -25,17 +24,14 @@ from guidance.user_model.training import adapt_to_user
 EVERY = 3  # every so many-th tick, where everybody's model predicts everybody
 
 
-def person_predictors(models: Models, observation: Tensor, action: Tensor, table: TableSpec) -> dict[str, Predictor]:
-    """Everybody who predicts one person, knowing one game of theirs (ticks, 12), (ticks, 2)."""
-    return predictors(models.user, models.meta, models.inner_lr, observation, action, table, models.ahead)
-
-
 @torch.no_grad()
 def errors_ahead(models: Models, data: Demonstrations, ahead: list[float], table: TableSpec) -> list[dict]:
     """A row per predictor and time ahead: `prediction_metrics` and the gain over extrapolation, with intervals."""
     results: dict[tuple[str, float], list[dict[str, float]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
-        everybody = person_predictors(models, observation[0], action[0], table)
+        everybody = predictors(
+            models.user, models.meta, models.inner_lr, observation[0], action[0], table, models.ahead
+        )
         for name, predictor in everybody.items():
             for seconds in ahead:
                 row = prediction_metrics(predictor, observation[-1], action[-1], seconds, table)
@@ -73,20 +69,22 @@ def for_whom(matrix: np.ndarray) -> dict[str, dict[str, float]]:
 @torch.no_grad()
 def by_amount(models: Models, data: Demonstrations, minutes: list[float], table: TableSpec) -> list[dict]:
     """Error after UA with so many minutes of the games before the last, as far as they go."""
-    seen, action = (part[:, :-1].flatten(1, 2) for part in (data.observation, data.action))
+    observation, action = (part[:, :-1].flatten(1, 2) for part in (data.observation, data.action))
     rows = []
     for amount in minutes:
         ticks = round(amount * 60 / table.tick)
-        if ticks <= seen.shape[1]:
-            rows.append({"minutes": amount, **_after(models, 1, seen[:, :ticks], action[:, :ticks], data, table)})
+        if ticks <= observation.shape[1]:
+            rows.append(
+                {"minutes": amount, **_after(models, 1, observation[:, :ticks], action[:, :ticks], data, table)}
+            )
     return rows
 
 
 @torch.no_grad()
 def by_steps(models: Models, data: Demonstrations, steps: list[int], table: TableSpec) -> list[dict]:
     """Error after UA with the first game, in so many steps."""
-    seen, action = data.observation[:, 0], data.action[:, 0]
-    return [{"steps": count, **_after(models, count, seen, action, data, table)} for count in steps]
+    game = data.observation[:, 0], data.action[:, 0]
+    return [{"steps": count, **_after(models, count, *game, data, table)} for count in steps]
 
 
 def _after(
@@ -110,7 +108,9 @@ def reliabilities(models: Models, data: Demonstrations, table: TableSpec) -> dic
     """Of each model, what its STD says in ten bins and what the errors there are, averaged over people."""
     results: dict[str, list[tuple[Tensor, Tensor]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
-        everybody: dict[str, Predictor] = person_predictors(models, observation[0], action[0], table)
+        everybody = predictors(
+            models.user, models.meta, models.inner_lr, observation[0], action[0], table, models.ahead
+        )
         then = action_ahead(observation[-1], action[-1], models.ahead, table)
         for name in ("supervised", "before_ua", "after_ua"):
             results.setdefault(name, []).append(reliability(everybody[name], observation[-1], then))

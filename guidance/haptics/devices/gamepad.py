@@ -2,7 +2,7 @@
 
 from contextlib import suppress
 from math import hypot
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -10,28 +10,15 @@ from guidance.haptics.devices import DeviceError, Pair
 from guidance.haptics.devices.pointer import MAX_SPEED, PointerHand
 from guidance.simulated_users.arm import HAND_REACH
 
+if TYPE_CHECKING:
+    from pygame.joystick import JoystickType
+
 RIGHT, DOWN = 0, 1  # axes of the left stick, by their positive direction
 RUMBLE_MS = 200  # ms, after which a rumble ends by itself if the game stops; it is renewed after half of it
 MIN_CHANGE = 0.05  # of the strength of the rumble
 
 
-class Joystick(Protocol):
-    """The used part of `pygame.joystick.Joystick`."""
-
-    def get_init(self) -> bool: ...
-
-    def get_instance_id(self) -> int: ...
-
-    def get_axis(self, axis: int) -> float: ...
-
-    def rumble(self, low: float, high: float, milliseconds: int) -> bool: ...
-
-    def stop_rumble(self) -> None: ...
-
-    def quit(self) -> None: ...
-
-
-def open_gamepad(index: int = 0) -> Joystick:
+def open_gamepad(index: int = 0) -> "JoystickType":
     """Open the gamepad of this index by pygame.
 
     Raises:
@@ -61,7 +48,7 @@ class Gamepad(PointerHand):
 
     def __init__(
         self,
-        joystick: Joystick,
+        joystick: "JoystickType",
         limit: float,
         dead_zone: float = 0.12,
         person: np.void | None = None,

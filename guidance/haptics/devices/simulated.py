@@ -5,8 +5,6 @@ import numpy as np
 from guidance.haptics.devices import Pair
 from guidance.simulated_users import SimulatedUsers
 
-STEP_MS = 1  # ms, of the servo
-
 
 class Simulated:
     """A `VirtualDevice` held by one simulated person.
@@ -47,7 +45,7 @@ class Simulated:
             if self._passed_ms == 0:
                 self._observation[:] = state
             self._forces[self._passed_ms] = self._force
-            self._passed_ms += STEP_MS
+            self._passed_ms += 1
             if self._passed_ms == self._tick_ms:
                 self._passed_ms = 0
                 first = self._forces[0]

@@ -26,6 +26,21 @@ class Still:
         pass
 
 
+class Timed(Still):
+    """Writes the times of its steps, a line each, to `path` when it is closed."""
+
+    def __init__(self, path):
+        self._path, self._times = path, []
+
+    @property
+    def position(self):
+        self._times.append(time.perf_counter())
+        return (0.0, 0.0)
+
+    def close(self):
+        Path(self._path).write_text("\n".join(map(repr, self._times)))
+
+
 class Logged(Still):
     """Writes each call to `path` at once, so that a process that is killed has written it.
 

@@ -104,9 +104,11 @@ def test_a_person_does_not_depend_on_the_batch():
 def test_people_are_blind_to_all_but_state_and_force():
     assert list(inspect.signature(SimulatedUsers.step).parameters) == ["self", "state", "force", "rows"]
     users = SimulatedUsers(sample_people(2, 0), personal_streams(2, 0))
-    for view in (users.action, users.hand, users.hand_velocity, users.goal, users.intention):
-        with pytest.raises(ValueError, match="read-only"):
-            view[0] = 0
+    with pytest.raises(ValueError, match="read-only"):
+        users.action[0] = 0
+    for name in ("hand", "hand_velocity", "goal", "intention", "time_to_contact"):
+        getattr(users, name)[0] = 1  # a copy
+        assert not (getattr(users, name)[0] == 1).any()
 
 
 def test_the_hand_reacts_only_after_the_visual_delay():
