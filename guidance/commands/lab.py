@@ -100,8 +100,8 @@ def main(cfg: DictConfig) -> None:
     from guidance.haptics.screen import NullDisplay, Quit, SimulatedClock, WallClock, quit_on_signals
     from guidance.haptics.seat import RealTimePlayer
     from guidance.sessions.bids import Records
-    from guidance.sessions.lsl import open_streams
-    from guidance.sessions.session import NullEvents, Session
+    from guidance.sessions.lsl import LabStreams
+    from guidance.sessions.session import Session
     from guidance.sessions.simulated_participant import SimulatedParticipant
     from guidance.simulated_users import load_population, sample_people
     from guidance.study.setup import load_models
@@ -117,7 +117,8 @@ def main(cfg: DictConfig) -> None:
         models = load_models(cfg)
         plan, limits = plan_of(cfg, models), construct(SafetyLimits, cfg.safety, "safety")
         people = sample_people(cfg.participants, cfg.seed, population)
-        facts, events = facts_of(cfg, models, plan), open_streams() if cfg.lsl else NullEvents()
+        facts = facts_of(cfg, models, plan)
+        streams = LabStreams() if cfg.lsl else None
     clock = WallClock() if cfg.window else SimulatedClock()
     participant = None
     with suppress(Quit), ExitStack() as room:
@@ -142,8 +143,9 @@ def main(cfg: DictConfig) -> None:
             window.on_pointer, window.on_disconnect = opened.on_pointer, opened.on_disconnect
             if cfg.fullscreen:
                 window.toggle_fullscreen()
-        on_game = (lambda game: simulated.begin_game(seat, game)) if simulated else (lambda game: None)
-        Session(plan, participant, seat, window or simulated, events, on_game).run()
+        events = {"on_game": lambda game: simulated.begin_game(seat, game)} if simulated else {}
+        events |= {"mark": streams.mark, "on_row": streams.tick} if streams else {}
+        Session(plan, participant, seat, window or simulated, **events).run()
     if participant is None or participant.consent is None:
         return
     done = sum(game.ratings is not None for game in participant.games.values())

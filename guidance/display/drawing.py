@@ -9,12 +9,13 @@ import pygame
 from PIL import Image
 
 from airhockey_marl.envs.rendering import SMOOTHING
-from guidance.display.scene import Color, Pixel
+from guidance.display.scene import FORCE, GRAY, INK, Color, Pixel
 
 
 @lru_cache
 def font(size: int, bold: bool = False) -> pygame.font.Font:
     """The font DejaVu Sans, which covers most languages; size in pixels."""
+    pygame.font.init()
     name = "DejaVuSans-Bold.ttf" if bold else "DejaVuSans.ttf"
     return pygame.font.Font(Path(matplotlib.get_data_path(), "fonts", "ttf", name), size)
 
@@ -58,7 +59,19 @@ def picture_of(image: Image.Image) -> pygame.Surface:
     """Convert a Pillow image, drawn `SMOOTHING` times larger for smooth edges, to a surface."""
     small = image.reduce(SMOOTHING)
     surface = pygame.image.frombytes(small.tobytes(), small.size, small.mode)
+    if pygame.display.get_surface() is None:  # a film: there is no screen whose format would be faster
+        return surface
     return surface.convert_alpha() if small.mode == "RGBA" else surface.convert()
+
+
+def write_weight(
+    surface: pygame.Surface, name: str, weight: float, at: Pixel, size: int, width: float, height: float
+) -> float:
+    """Draw the name of a weight, and a bar of it; returns the right edge."""
+    left = write(surface, name, at, size, INK).right + 6
+    for share, color in ((1.0, GRAY), (weight, FORCE)):
+        pygame.draw.rect(surface, color, (left, at[1] - height / 2, width * share, height))
+    return left + width
 
 
 def veil(surface: pygame.Surface, box: pygame.Rect, color: tuple[int, int, int, int]) -> None:

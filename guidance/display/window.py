@@ -10,9 +10,9 @@ import pygame
 from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
 from airhockey_marl.envs.rendering import COLORS
 from guidance.display.arena import Arena
-from guidance.display.drawing import clear_caches, render, veil, write
+from guidance.display.drawing import clear_caches, render, veil, write, write_weight
 from guidance.display.pages import Items, Page
-from guidance.display.scene import FORCE, GRAY, INK, PAPER
+from guidance.display.scene import FORCE, INK, PAPER
 from guidance.haptics.screen import Clock, DisplayState, Quit
 
 HINT = "h help   space pause   esc leave"
@@ -50,7 +50,6 @@ class Window:
         shows_force: bool = True,
     ) -> None:
         pygame.display.init()
-        pygame.font.init()
         pygame.joystick.init()
         pygame.display.set_caption(title)
         pygame.display.set_mode((width, width // 2))  # surfaces need a display for their color format
@@ -167,10 +166,6 @@ class Window:
             page.draw(self.surface, typed=text)
             self._flip(self.clock.now())
 
-    def screenshot(self) -> np.ndarray:
-        """The current frame, (height, width, 3) uint8."""
-        return pygame.surfarray.array3d(self.surface).swapaxes(0, 1)
-
     def __enter__(self) -> Self:
         return self
 
@@ -255,10 +250,7 @@ class Window:
         if self.shows_force:
             write(self.surface, f"force {newtons:.1f} N", (EDGE, line), 14, FORCE if newtons else FADED, bold=True)
         for name, weight in display.weights.items() if self.shows_force else ():
-            left = write(self.surface, name, (left, line), 14, INK).right + 6
-            for share, color in ((1.0, GRAY), (weight, FORCE)):
-                pygame.draw.rect(self.surface, color, (left, line - 6, 70 * share, 12))
-            left += 70 + EDGE
+            left = write_weight(self.surface, name, weight, (left, line), 14, 70, 12) + EDGE
         write(self.surface, HINT, (self.size[0] - EDGE, line), 14, FADED, anchor="midright")
 
     def _draw_note(self, note: str) -> None:

@@ -1,35 +1,20 @@
 """Interface of a hand at a device behind the safety layer, and what its two implementations share."""
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from guidance.haptics.devices import Pair
+from guidance.haptics.devices import Hand, Pair
 
 if TYPE_CHECKING:  # the servo process starts without numpy
     import numpy as np
 
 
-class HapticHand(ABC):
+class HapticHand(Hand):
     """A hand at a device behind the safety layer; see `guidance.haptics.servo` and `guidance.haptics.servo_process`."""
 
     def __init__(self) -> None:
         self._is_closed = False
-
-    @property
-    @abstractmethod
-    def position(self) -> Pair:
-        """(2,) m, of the hand relative to the center of the workspace."""
-
-    @property
-    @abstractmethod
-    def velocity(self) -> Pair:
-        """(2,) m/s, of the hand."""
-
-    @property
-    @abstractmethod
-    def is_held(self) -> bool:
-        """Whether the hand is at the device."""
 
     @property
     @abstractmethod

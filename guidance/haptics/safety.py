@@ -1,12 +1,13 @@
 """Safety layer between the guidance and any device: bounds every force on a hand, whatever the guidance requests.
 
-Plain floats and only the standard library: the layer runs at 1 kHz in a process of its own, which must start quickly.
+Plain floats, and no numpy: the layer runs at 1 kHz in a process of its own, which must start quickly.
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from math import hypot, inf, isfinite, nextafter
 
-Pair = tuple[float, float]
+from airhockey_marl.experiment.validation import check_numbers, labeled
+from guidance.haptics.devices import Pair
 
 NO_FORCE: Pair = (0.0, 0.0)
 
@@ -32,12 +33,8 @@ class SafetyLimits:
     speed: float = 2.5
 
     def __post_init__(self) -> None:
-        for item in fields(self):
-            value, name = getattr(self, item.name), item.name
-            number = isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
-            if not number or value < 0 or (value == 0 and name != "soft_start"):
-                allowed = "of at least 0" if name == "soft_start" else "above 0"
-                raise ValueError(f"safety.{name} = {value} must be a finite number {allowed}")
+        check_numbers(0.0, **labeled(self, "safety", "soft_start"))
+        check_numbers(above=0.0, **labeled(self, "safety", "force", "slew", "stale_after", "workspace", "speed"))
 
 
 def clip_norm(x: float, y: float, most: float) -> Pair:

@@ -54,6 +54,12 @@ game and its ratings (1 to 7). acq- is the condition, run- its position in the p
 guidance to which the user model is adapted, and is not evaluated. Files with desc-interrupted are of interrupted games
 and are not evaluated. trials.csv has a row per rated game. manifest.json has the configuration, seed and models.
 """
+FILES = {
+    "README": README,
+    ".bidsignore": IGNORED,
+    "dataset_description.json": DESCRIPTION,
+    "participants.json": PARTICIPANTS,
+}
 
 
 class Records:
@@ -83,12 +89,10 @@ class Records:
         try:
             self.manifest = self._require_same_study(manifest)
             remove_temporary_files(self.folder)
-            for name, content in (("README", README), (".bidsignore", IGNORED)):
+            for name, content in FILES.items():
                 if not (self.folder / name).exists():
-                    save_text(self.folder / name, content)
-            for name, content in (("dataset_description.json", DESCRIPTION), ("participants.json", PARTICIPANTS)):
-                if not (self.folder / name).exists():
-                    save_json(self.folder / name, content)
+                    save = save_text if isinstance(content, str) else save_json
+                    save(self.folder / name, content)
             self.places = self._read_places()
             for label in self.places:
                 recover_games(self._person(label) / "beh")

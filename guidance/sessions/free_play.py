@@ -60,7 +60,6 @@ class FreePlay:
         self.adapted: TensorDict | None = None
         self.demonstrations: list[tuple[Tensor, Tensor]] = []
         self.games: dict[str, Game] = {}
-        self.labels: dict[str, str] = {}
         self.ticks, self._note_seconds = 0, 0.0
 
     def run(self, condition: Condition, seconds: float | None = None) -> None:
@@ -139,7 +138,10 @@ class FreePlay:
 
     def summary(self) -> pd.DataFrame:
         """The results, a row per stretch."""
-        rows = {self.labels[name]: game.results for name, game in self.games.items()}
+        rows = {
+            f"{game.position:02d} {game.facts['title']}, {game.facts['opponent']}": game.results
+            for game in self.games.values()
+        }
         return pd.DataFrame.from_dict(rows, orient="index")
 
     def _begin(self, condition: Condition) -> None:
@@ -149,10 +151,9 @@ class FreePlay:
         self.metrics = MetricsRecorder(self.runner)
         self._round_ticks, self._rounds, number = 0, 0, len(self.games) + 1
         name = f"{number:02d}{condition.name.replace('_', '')}"
-        self.labels[name] = f"{number:02d} {condition.label}, generation {self.opponent}"
         facts = scene_facts(condition, "you", f"generation {self.opponent}", self.adapted is not None)
         stem = self.folder / f"task-airhockey_acq-{name}"
-        self.recording = Recording.begin(stem, name, number, COLUMNS, facts, self.games)
+        self.recording = Recording(stem, name, number, COLUMNS, facts, self.games)
         self.player.display.title = f"{condition.label}, generation {self.opponent}"
 
     def _save(self) -> None:

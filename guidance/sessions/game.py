@@ -1,7 +1,7 @@
 """A complete game of one person: its table with a row per tick, and its description with results and ratings."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -76,12 +76,6 @@ class Game:
         partial = final.with_name(final.name.removesuffix(BEHAVIOR + ".tsv") + PARTIAL + ".tsv")
         return partial if partial.is_file() else final  # it is renamed soon, see `recover_games`
 
-    def ticks(self) -> pd.DataFrame:
-        """The table, a row per tick; floats are bit-identical to the recorded ones."""
-        return pd.read_csv(
-            self.file, sep="\t", na_values=[MISSING], keep_default_na=False, float_precision="round_trip"
-        )
-
     def rate(self, ratings: Mapping[str, int], interview: str) -> "Game":
         """Save ratings with the game, and return it with them. The same ratings may be saved again with an interview.
 
@@ -96,6 +90,20 @@ class Game:
             raise ValueError(f"ratings of {self.name}: there are some already, {self.ratings}")
         save_json(self.description, load_json(self.description) | {"Ratings": ratings, "Interview": interview})
         return Game.load(self.description)
+
+
+def read_ticks(file: Path, columns: Iterable[str] = ()) -> pd.DataFrame:
+    """The table of a game, a row per tick; floats are bit-identical to the recorded ones.
+
+    Raises:
+        ValueError: the file is missing or lacks one of the `columns`; the message names it.
+    """
+    if not file.is_file():
+        raise ValueError(f"no such file: {file}")
+    ticks = pd.read_csv(file, sep="\t", na_values=[MISSING], keep_default_na=False, float_precision="round_trip")
+    if absent := [name for name in columns if name not in ticks]:
+        raise ValueError(f"{file} lacks the columns {', '.join(absent)}")
+    return ticks
 
 
 def load_games(folder: Path) -> dict[str, Game]:

@@ -12,11 +12,13 @@ MARKERS, TICKS = "AirHockeyMarkers", "AirHockeyTicks"
 
 
 class LabStreams:
-    """The `Events` of a session, sent to two stream outlets."""
+    """The events and ticks of a session, sent to two stream outlets."""
 
     def __init__(self) -> None:
-        import pylsl
-
+        try:
+            import pylsl
+        except ModuleNotFoundError as error:
+            raise ValueError("lsl = true needs the package pylsl: pip install -e '.[lsl]'") from error
         markers = pylsl.StreamInfo(MARKERS, "Markers", 1, pylsl.IRREGULAR_RATE, pylsl.cf_string, "airhockey-markers")
         ticks = pylsl.StreamInfo(TICKS, "Behavior", len(COLUMNS), 50.0, pylsl.cf_double64, "airhockey-ticks")
         channels = ticks.desc().append_child("channels")
@@ -33,11 +35,3 @@ class LabStreams:
     def tick(self, row: Mapping[str, float]) -> None:
         """Send a tick; missing values are NaN."""
         self._ticks.push_sample([float(row[name]) for name in COLUMNS])
-
-
-def open_streams() -> LabStreams:
-    """Open the streams."""
-    try:
-        return LabStreams()
-    except ModuleNotFoundError as error:
-        raise ValueError("lsl = true needs the package pylsl: pip install -e '.[lsl]'") from error

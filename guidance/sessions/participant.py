@@ -4,7 +4,6 @@ import hashlib
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from airhockey_marl.experiment.files import load_json
@@ -83,7 +82,7 @@ class Participant:
             if game.name.replace("_", "") == short or game.position == position:
                 raise ValueError(f"{self.label} has played {game.name} already, at position {game.position}")
         stem = self._folder / "beh" / f"sub-{self.label}_task-airhockey_acq-{short}_run-{position}"
-        return self._study.set_active(Recording.begin(stem, name, position, columns, facts or {}, self.games))
+        return self._study.set_active(Recording(stem, name, position, columns, facts or {}, self.games))
 
     def save_ratings(self, name: str, ratings: Mapping[str, int], interview: str = "") -> None:
         """Save the ratings of a complete game, and add it to trials.csv. The same ratings may be saved again.

@@ -11,13 +11,10 @@ description with the results has its final name, which is one rename. The files 
 import math
 import os
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from itertools import count
 from numbers import Integral, Real
 from pathlib import Path
 from typing import Any
-
-import numpy as np
-import pandas as pd
 
 from airhockey_marl.experiment.files import fsync_dir, name_write_errors, remove
 from guidance.sessions.game import BEHAVIOR, MISSING, PARTIAL, RESULTS, Game, game_file
@@ -27,48 +24,35 @@ Columns = Mapping[str, Mapping[str, str]]
 """Column -> its description in BIDS: `Description`, `Units`, and optionally more."""
 
 
-@dataclass
 class Recording:
     """The files of a running game; a context manager that interrupts the game if it is left before `finish`.
 
-    Attributes:
+    Args:
         stem: path of its files without ending and suffix.
-        name, position, columns, facts, games: see `begin`.
+        name: of its condition, or `UNSCORED`.
+        position: in the person's order, from 1; 0 for the unscored game.
+        columns: descriptions of the columns, in their order; small letters, as the keys of BIDS have capitals.
+        facts: any JSON to keep with the game, such as the device.
+        games: receives the game under its name when it is complete.
     """
 
-    stem: Path
-    name: str
-    position: int
-    columns: dict[str, dict[str, str]]
-    facts: dict[str, Any]
-    games: dict[str, Game]
-    _handle: int | None = field(default=None, repr=False)
-    _size: int = field(default=0, repr=False)  # bytes that are on the disk
-
-    @classmethod
-    def begin(
-        cls, stem: Path, name: str, position: int, columns: Columns, facts: Mapping[str, Any], games: dict[str, Game]
-    ) -> "Recording":
-        """Create the files of a game.
-
-        Args:
-            columns: descriptions of the columns, in their order; small letters, as the keys of BIDS have capitals.
-            facts: any JSON to keep with the game, such as the device.
-            games: receives the game under its name when it is complete.
-        """
-        described = {name: dict(description) for name, description in columns.items()}
-        recording = cls(stem, name, position, described, dict(facts), games)
-        save_json(recording._path(PARTIAL, ".json"), recording._description())
-        path = recording._path(PARTIAL, ".tsv")
+    def __init__(
+        self, stem: Path, name: str, position: int, columns: Columns, facts: Mapping[str, Any], games: dict[str, Game]
+    ) -> None:
+        self.stem, self.name, self.position, self.games = stem, name, position, games
+        self.columns, self.facts = {key: dict(description) for key, description in columns.items()}, dict(facts)
+        self._handle: int | None = None
+        self._size = 0  # bytes that are on the disk
+        save_json(game_file(stem, PARTIAL, ".json"), self._description())
+        path = game_file(stem, PARTIAL, ".tsv")
         try:
             with name_write_errors(path):
-                recording._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
+                self._handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o644)
                 fsync_dir(path.parent)
-            recording._write("\t".join(columns) + "\n")
+            self._write("\t".join(columns) + "\n")
         except OSError:
-            recording.close()
+            self.close()
             raise
-        return recording
 
     @property
     def is_open(self) -> bool:
@@ -93,7 +77,7 @@ class Recording:
 
         Args:
             results: name in `RESULTS` -> value.
-            facts: further ones, added to those of `begin`.
+            facts: further ones, added to those from the start.
 
         Raises:
             ValueError: an infinite result, or the game is over already.
@@ -102,7 +86,7 @@ class Recording:
         self.facts |= facts or {}
         self._write("")  # drops a partial write after the last tick
         finite = {name: None if math.isnan(results[name]) else results[name] for name in RESULTS}
-        description = self._path(BEHAVIOR, ".json")
+        description = game_file(self.stem, BEHAVIOR, ".json")
         # its rename completes the game; `recover_games` can repeat the rest
         save_json(description, self._description() | {"Results": finite, "Ratings": None, "Interview": ""})
         _complete(self.stem)
@@ -122,9 +106,6 @@ class Recording:
     def __exit__(self, *_: object) -> None:
         self.close()
 
-    def _path(self, ending: str, suffix: str) -> Path:
-        return game_file(self.stem, ending, suffix)
-
     def _description(self) -> dict[str, Any]:
         own = {"TaskName": "airhockey", "Condition": self.name, "Position": self.position, "Facts": self.facts}
         return own | self.columns
@@ -134,7 +115,7 @@ class Recording:
         if self._handle is None:
             raise ValueError(f"the game {self.name} is not running")
         content, written = memoryview(text.encode("ascii")), 0
-        with name_write_errors(self._path(PARTIAL, ".tsv")):
+        with name_write_errors(game_file(self.stem, PARTIAL, ".tsv")):
             os.ftruncate(self._handle, self._size)
             while written < len(content):
                 written += os.pwrite(self._handle, content[written:], self._size + written)
@@ -151,10 +132,8 @@ def recover_games(folder: Path) -> None:
         elif not table.exists():  # no table yet: the game had not begun
             remove(described)
         else:
-            k = 1
-            while game_file(stem, f"_desc-interrupted{k}_beh", ".tsv").exists():
-                k += 1
-            kept = game_file(stem, f"_desc-interrupted{k}_beh", ".tsv")
+            names = (game_file(stem, f"_desc-interrupted{k}_beh", ".tsv") for k in count(1))
+            kept = next(name for name in names if not name.exists())
             if described.exists():
                 rename_file(described, kept.with_suffix(".json"))
             rename_file(table, kept)
@@ -170,10 +149,8 @@ def _complete(stem: Path) -> None:
 
 def _cell(name: str, value: Any) -> str:
     """A number as text that is read back bit-identically; only numbers, so that no cell is a spreadsheet formula."""
-    if value is None or value is pd.NA:
+    if value is None:
         return MISSING
-    if isinstance(value, bool | np.bool_):
-        return str(int(value))
     if isinstance(value, Integral):
         return str(int(value))
     if isinstance(value, Real):

@@ -19,10 +19,10 @@ from guidance.display.pages import Items, Page
 from guidance.forces.conditions import Condition
 from guidance.haptics.screen import DisplayState
 from guidance.haptics.seat import RealTimePlayer
-from guidance.sessions.game import UNSCORED
+from guidance.sessions.game import UNSCORED, read_ticks
 from guidance.sessions.participant import Participant
 from guidance.sessions.recording import Recording
-from guidance.sessions.tick_log import COLUMNS, TickLog, demonstration, read_ticks, scene_facts, tapped_guidance
+from guidance.sessions.tick_log import COLUMNS, TickLog, demonstration, scene_facts, tapped_guidance
 from guidance.simulated_users.ratings import RATINGS
 from guidance.study.games import GameRunner, GameStep, play_games
 from guidance.study.models import Models
@@ -53,24 +53,6 @@ class ExperimenterUI(Interface):
     def ask(self, items: Items) -> dict[str, int]: ...
 
     def write_down(self, page: Page) -> str: ...
-
-
-class Events(Interface):
-    """Receiver of events and ticks, see `guidance.sessions.lsl`."""
-
-    def mark(self, event: str) -> None: ...
-
-    def tick(self, row: Mapping[str, float]) -> None: ...
-
-
-class NullEvents:
-    """Null event sink."""
-
-    def mark(self, event: str) -> None:
-        pass
-
-    def tick(self, row: Mapping[str, float]) -> None:
-        pass
 
 
 @dataclass(frozen=True)
@@ -121,7 +103,8 @@ class Session:
         participant: the person and their records.
         player: the person at the device.
         ui: for pages, questionnaires and notes.
-        events: receiver of markers and ticks.
+        mark: called with the name of each event.
+        on_row: called with the row of each tick, see `COLUMNS`.
         on_game: called with the number of a game before it begins, see `guidance.study.study`.
 
     Attributes:
@@ -135,12 +118,13 @@ class Session:
         participant: Participant,
         player: RealTimePlayer,
         ui: ExperimenterUI,
-        events: Events | None = None,
+        mark: Callable[[str], None] = lambda event: None,
+        on_row: Callable[[Mapping[str, float]], None] = lambda row: None,
         on_game: Callable[[int], None] = lambda game: None,
     ) -> None:
         self.plan, self.participant, self.player, self.ui = plan, participant, player, ui
-        self.events, self.on_game = events or NullEvents(), on_game
-        player.mark = self.events.mark
+        self.mark, self.on_row, self.on_game = mark, on_row, on_game
+        player.mark = mark
         self.adapted: TensorDict | None = None
         places = counterbalanced_order(plan.participants, len(plan.conditions), plan.seed)[participant.place]
         self.order = [plan.conditions[i] for i in np.argsort(places)]
@@ -154,7 +138,8 @@ class Session:
             self._read("A first game", FIRST_GAME, {"return": "begin"})
             unguided = next(condition for condition in self.plan.conditions if not condition.guidance.models())
             self._play(unguided, UNSCORED, 0, CALIBRATION_GAME, "A first game")
-        self.adapted = self.plan.models.adapted_to([demonstration(read_ticks(self.participant.games[UNSCORED].file))])
+        ticks = read_ticks(self.participant.games[UNSCORED].file, COLUMNS)
+        self.adapted = self.plan.models.adapted_to([demonstration(ticks)])
         for number, condition in enumerate(self.order, 1):
             game = self.participant.games.get(condition.name)
             title = f"Game {number} of {len(self.order)}"
@@ -172,7 +157,7 @@ class Session:
             if self.ui.page(Page("Before you take part", self.plan.consent, keys)) != "y":
                 return False
             self.participant.give_consent(self.plan.consent)
-            self.events.mark("consent")
+            self.mark("consent")
         return True
 
     def _read(self, title: str, text: str, keys: Mapping[str, str], number: int = 0) -> str:
@@ -193,7 +178,7 @@ class Session:
         player.display = DisplayState(title="Practice: return when you have had enough")
         runner.new_games()
         won = lost = 0
-        self.events.mark("practice")
+        self.mark("practice")
         while "return" not in player.take_keys():
             tick = runner.tick()
             won, lost = won + int(tick.goals[0] > 0), lost + int(tick.goals[0] < 0)
@@ -214,7 +199,7 @@ class Session:
         facts |= {"device": plan.device, "questions": dict(plan.questions), "scale": list(plan.scale)}
         self.on_game(game)
         with self.participant.begin_game(name, position, COLUMNS, facts) as recording:
-            self.events.mark(f"begin {name}")
+            self.mark(f"begin {name}")
             player.display = DisplayState(title=title)
 
             on_tick = partial(self._watch, log, recording)
@@ -223,7 +208,7 @@ class Session:
                     player, plan.opponent, forces, plan.protocol, table, self._serves(game), on_tick=on_tick
                 )
             except BaseException:
-                self.events.mark(f"interrupted {name}")
+                self.mark(f"interrupted {name}")
                 raise
             results = {**result.results, **result.weights, "rounds": result.rounds, "duration_s": result.seconds}
             numbers = {key: float(values[0]) for key, values in results.items()}
@@ -232,21 +217,21 @@ class Session:
             recording.finish(
                 numbers, {"late_ticks": player.late_ticks, "pauses": player.pauses, "faults": player.faults}
             )
-        self.events.mark(f"end {name}")
+        self.mark(f"end {name}")
 
     def _watch(self, log: TickLog, recording: Recording, tick: GameStep, scored: bool, ended: np.ndarray) -> None:
         """Show the score, and save each round when it ends."""
         is_start = scored and not log.scored
         row = log(tick, scored, bool(ended[0]))
-        self.events.tick(row)
+        self.on_row(row)
         display = self.player.display
         display.won, display.lost, display.seconds = log.won, log.lost, row["time_s"]
         remaining = self.plan.protocol.familiarization - row["time_s"]
         display.note = f"the game begins in {ceil(remaining)} s" if not scored and 0 < remaining < 4 else ""
         if is_start:
-            self.events.mark("scored")
+            self.mark("scored")
         if row["goal"]:
-            self.events.mark("goal" if row["goal"] > 0 else "goal against")
+            self.mark("goal" if row["goal"] > 0 else "goal against")
         if ended[0]:
             display.note = {1: "goal!", -1: "goal against you", 0: "out of time"}[int(row["goal"])]
             recording.append(log.take())
@@ -255,7 +240,7 @@ class Session:
         low, high = self.plan.scale
         ratings = self.ui.ask(Items(f"{title}: how was the guidance?", self.plan.questions, low, high))
         self.participant.save_ratings(name, ratings)
-        self.events.mark(f"rated {name}")
+        self.mark(f"rated {name}")
         if self.plan.interview:
             text = "For the experimenter: what did the person say about this game? Return when done; may stay empty."
             self.participant.save_ratings(name, ratings, self.ui.write_down(Page(f"{title}: interview", text, {})))

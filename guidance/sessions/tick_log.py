@@ -16,9 +16,10 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from airhockey_marl.experiment.files import find_files, load_json
+from guidance.display.scene import STATE
 from guidance.forces.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidance, GuidanceOutput, Prediction
 from guidance.haptics.hand import HapticHand
-from guidance.sessions.game import load_games
+from guidance.sessions.game import load_games, read_ticks
 from guidance.simulated_users import SimulatedUsers
 from guidance.simulated_users.arm import HAND_REACH
 from guidance.simulated_users.intention import Intention
@@ -27,7 +28,6 @@ from guidance.study.games import GameRunner, GameStep
 from guidance.study.models import Models
 from guidance.study.setup import StudySetup
 
-STATE = [f"{body}_{part}" for body in ("own", "other", "puck") for part in ("x", "y", "vx", "vy")]
 ACTION = ["action_x", "action_y"]
 _PADDLES = {
     f"{body}_{part}": (f"{what}, {axis} of its {of}", unit)
@@ -169,20 +169,6 @@ class TickLog:
         return rows
 
 
-def read_ticks(file: Path | str) -> pd.DataFrame:
-    """The table of a recorded game.
-
-    Raises:
-        ValueError: the file is missing or lacks a column of `COLUMNS`; the message names it.
-    """
-    if not Path(file).is_file():
-        raise ValueError(f"no such file: {file}")
-    ticks = pd.read_csv(file, sep="\t", na_values=["n/a"], float_precision="round_trip")
-    if absent := [name for name in COLUMNS if name not in ticks]:
-        raise ValueError(f"{file} lacks the columns {', '.join(absent)}")
-    return ticks
-
-
 def demonstration(ticks: pd.DataFrame) -> tuple[Tensor, Tensor]:
     """Observations (ticks, 12) and actions (ticks, 2), float32, of the scored play: the input of user adaptation."""
     scored = ticks[ticks["scored"] == 1]
@@ -218,7 +204,7 @@ def load_recorded_part(
             raise ValueError(f"game = {game} must be one of {', '.join(games)}")
         chosen = games[list(games)[-1] if game is None else game]
         file, facts = chosen.file, chosen.facts
-    ticks = read_ticks(file)
+    ticks = read_ticks(file, COLUMNS)
     ticks = ticks[ticks["scored"] == 1]  # time begins anew after the familiarization
     ticks = ticks[(ticks["time_s"] > start) & (ticks["time_s"] <= start + seconds)].reset_index(drop=True)
     if ticks.empty:

@@ -2,34 +2,17 @@
 
 import re
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
 from string import ascii_lowercase
 from typing import Any, NamedTuple
 
 import pandas as pd
 
-from guidance.forces.condition_specs import OTHER, paper_specs
+from guidance.forces.condition_specs import OTHER, PAPER_LETTERS, ConditionSpec, paper_specs
 
 ALPHA = 0.05
 FEWEST_PARTICIPANTS = 3  # two participants leave a single degree of freedom for a difference
 BEYOND = OTHER  # the type of conditions that are not the paper's, and the family that compares them with the types
-
-
-class Condition(NamedTuple):
-    """A condition as reports show it.
-
-    Attributes:
-        letter: a to i for the paper's nine (section 4.2).
-        label: its name, such as "OAHG (UT)".
-        guidance: its type of guidance, NHG, OAHG, UPHG, CombHG or `BEYOND`.
-        color: of its bar, as #rrggbb; None for that of its type.
-        against: letters of conditions that it is compared with, beside the types.
-    """
-
-    letter: str
-    label: str
-    guidance: str
-    color: str | None = None
-    against: tuple[str, ...] = ()
 
 
 class Metric(NamedTuple):
@@ -40,7 +23,7 @@ class Metric(NamedTuple):
     unit: str
 
 
-CONDITIONS = {spec.name: Condition(spec.letter, spec.label, spec.type) for spec in paper_specs().values()}
+CONDITIONS = dict(paper_specs())
 METRICS = {
     "win_rate": Metric("Win rate", "objective", "share of rounds"),
     "mean_smash_speed": Metric("Mean smash speed", "objective", "m/s"),
@@ -54,29 +37,24 @@ METRICS = {
 FAMILIES = {"OAHG": "bc", "UPHG": "def", "CombHG": "ghi", "types": "acfi"}
 
 
-def declared_conditions(entries: Iterable[Mapping[str, Any]]) -> dict[str, Condition]:
+def declared_conditions(entries: Iterable[Mapping[str, Any]]) -> dict[str, ConditionSpec]:
     """The conditions beyond the paper's by name, from the `conditions` of manifests.
 
     Raises:
-        ValueError: a letter, label, color or `against` is not valid; names the condition and the key.
+        ValueError: a letter, label, color or `against` is not valid; names the key.
     """
     conditions = {}
     for entry in entries:
-        name, letter, label = (entry.get(key) for key in ("name", "letter", "label"))
-        if name in CONDITIONS:
+        if entry.get("name") in CONDITIONS:
             continue
-        color, against = entry.get("color"), entry.get("against") or ()
-        letters = tuple(ascii_lowercase)
-        valid = {
-            "name": isinstance(name, str) and name != "",
-            "letter": letter in letters,
-            "label": isinstance(label, str) and label != "",
-            "color": color is None or (isinstance(color, str) and re.fullmatch("#[0-9a-fA-F]{6}", color) is not None),
-            "against": isinstance(against, list | tuple) and all(other in letters for other in against),
-        }
-        if wrong := [key for key, is_valid in valid.items() if not is_valid]:
-            raise ValueError(f"manifest: conditions: {name}: {wrong[0]} = {entry.get(wrong[0])!r} is not valid")
-        conditions[name] = Condition(letter, label, BEYOND, color, tuple(against))
+        color = entry.get("color")
+        try:
+            keys = {key: entry.get(key) for key in ("name", "letter", "label")}
+            conditions[entry.get("name")] = ConditionSpec(**keys, color=color, against=entry.get("against") or ())
+        except (TypeError, ValueError) as error:
+            raise ValueError(f"manifest: conditions: {error}") from error
+        if color is not None and not (isinstance(color, str) and re.fullmatch("#[0-9a-fA-F]{6}", color)):
+            raise ValueError(f"manifest: conditions: {entry['name']}: color = {color!r} is not valid")
     return conditions
 
 
@@ -94,26 +72,24 @@ def declared_metrics(entries: Iterable[Mapping[str, Any]]) -> dict[str, Metric]:
     return metrics
 
 
-def conditions_of(trials: pd.DataFrame, declared: Mapping[str, Condition] | None = None) -> dict[str, Condition]:
+def conditions_of(
+    trials: pd.DataFrame, declared: Mapping[str, ConditionSpec] | None = None
+) -> dict[str, ConditionSpec]:
     """The conditions in the trials by name: the paper's in its order, then any others by their letters.
 
     Args:
         declared: conditions beyond the paper's, see `declared_conditions`. One that is not among them is labeled with
             its name; it gets the first free letter from j on, as does one whose letter is another condition's.
     """
-    present, declared = list(dict.fromkeys(trials["condition"])), declared or {}
-    conditions = {name: condition for name, condition in CONDITIONS.items() if name in present}
-    others = [name for name in present if name not in CONDITIONS]
-    taken = {condition.letter for condition in CONDITIONS.values()}
-    if len(others) > len(ascii_lowercase) - len(taken):
-        raise ValueError(
-            f"{len(others)} conditions that are not the paper's, must be at most {len(ascii_lowercase) - len(taken)}"
-        )
-    own: dict[str, Condition] = {}
+    names, declared = list(dict.fromkeys(trials["condition"])), declared or {}
+    others = [name for name in names if name not in CONDITIONS]
+    free = [letter for letter in ascii_lowercase if letter not in PAPER_LETTERS]
+    if len(others) > len(free):
+        raise ValueError(f"{len(others)} conditions that are not the paper's, must be at most {len(free)}")
+    own = []
     for name in sorted(others, key=lambda name: name not in declared):  # the declared ones keep their letters
-        condition = declared.get(name, Condition("", name, BEYOND))
-        if not condition.letter or condition.letter in taken:
-            condition = condition._replace(letter=next(c for c in ascii_lowercase if c not in taken))
-        taken.add(condition.letter)
-        own[name] = condition
-    return conditions | dict(sorted(own.items(), key=lambda item: item[1].letter))
+        spec = declared.get(name) or ConditionSpec(name, free[0], label=name)
+        own.append(spec if spec.letter in free else replace(spec, letter=free[0]))
+        free.remove(own[-1].letter)
+    own.sort(key=lambda spec: spec.letter)
+    return {name: spec for name, spec in CONDITIONS.items() if name in names} | {spec.name: spec for spec in own}

@@ -21,7 +21,8 @@ from airhockey_marl.experiment.plotting import (
     label_panel,
     new_figure,
 )
-from guidance.statistics.design import BEYOND, METRICS, Condition, Metric, conditions_of
+from guidance.forces.condition_specs import ConditionSpec
+from guidance.statistics.design import BEYOND, METRICS, Metric, conditions_of
 from guidance.statistics.paper import EVIDENCE
 
 if TYPE_CHECKING:
@@ -41,9 +42,9 @@ def confidence_half_width(scores: pd.DataFrame) -> pd.Series:
     return scores.sem() * t.isf(0.025, (n - 1).where(n > 1))
 
 
-def color_of(condition: Condition) -> str:
+def color_of(condition: ConditionSpec) -> str:
     """The color of a condition's bars, by its type of guidance unless it has its own."""
-    return condition.color or COLORS[condition.guidance]
+    return condition.color or COLORS[condition.type]
 
 
 LEGEND_ENTRY = 0.4, 0.065  # in, about the width of an entry of Figure 6 without its label, and of a character
@@ -53,7 +54,7 @@ def figure6(
     trials: pd.DataFrame,
     withdrawn: Collection[str] = (),
     people: bool = False,
-    declared: Mapping[str, Condition] | None = None,
+    declared: Mapping[str, ConditionSpec] | None = None,
 ) -> Figure:
     """Draw the paper's Figure 6 (section 5).
 
@@ -84,7 +85,7 @@ def figure6(
 
 
 def _draw_bars(
-    axes: Axes, scores: pd.DataFrame, conditions: list[Condition], metric: Metric, withdrawn: bool, people: bool
+    axes: Axes, scores: pd.DataFrame, conditions: list[ConditionSpec], metric: Metric, withdrawn: bool, people: bool
 ) -> None:
     """Draw one panel; scores (participants, conditions)."""
     places = np.arange(len(conditions))
@@ -118,7 +119,7 @@ def _clip_scale(axes: Axes, metric: Metric) -> None:
 
 
 def means_beside(
-    trials: Mapping[str, pd.DataFrame], people: Collection[str], conditions: Mapping[str, Condition]
+    trials: Mapping[str, pd.DataFrame], people: Collection[str], conditions: Mapping[str, ConditionSpec]
 ) -> Figure:
     """Draw two groups side by side.
 

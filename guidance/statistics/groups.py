@@ -1,6 +1,5 @@
 """Groups of participants, people or simulated people, and the comparison of two groups; groups are never pooled."""
 
-import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,8 +8,9 @@ from typing import Any
 
 import pandas as pd
 
-from airhockey_marl.experiment.files import find_files, sha256
-from guidance.statistics.design import METRICS, Condition, Metric, conditions_of, declared_conditions, declared_metrics
+from airhockey_marl.experiment.files import find_files, load_json, sha256
+from guidance.forces.condition_specs import ConditionSpec
+from guidance.statistics.design import METRICS, Metric, conditions_of, declared_conditions, declared_metrics
 from guidance.statistics.figures import confidence_half_width
 from guidance.statistics.paper import compare_with_paper
 from guidance.statistics.tests import check_trials, run_tests
@@ -42,7 +42,7 @@ class Group:
         return list(self.manifest["runs"].values()) if "runs" in self.manifest else [self.manifest]
 
     @cached_property
-    def declared(self) -> dict[str, Condition]:
+    def declared(self) -> dict[str, ConditionSpec]:
         """The conditions beyond the paper's that the manifests declare, by name."""
         return declared_conditions(entry for manifest in self._manifests for entry in manifest.get("conditions", ()))
 
@@ -53,7 +53,7 @@ class Group:
         return {name: metric for name, metric in declared.items() if name in self.trials}
 
     @property
-    def conditions(self) -> dict[str, Condition]:
+    def conditions(self) -> dict[str, ConditionSpec]:
         """The conditions of the trials by name, see `conditions_of`."""
         return conditions_of(self.trials, self.declared)
 
@@ -146,10 +146,10 @@ def side_by_side(here: Group, beside: Group) -> dict[str, Any]:
         sign = 1 if rows[0]["x"] == rows[0]["paper_greater"] else -1
         less = rows[0]["y"] if sign == 1 else rows[0]["x"]
         findings.append(rows[0] | {"less": less, "rows": [row | {"toward_paper": sign * row["dz"]} for row in rows]})
-    replicated = [comparison["outcome"].eq("replicated").to_numpy() for comparison in comparisons]
-    first_untested, second_untested = (c["outcome"].isin(UNTESTED).to_numpy() for c in comparisons)
-    tested = ~(first_untested | second_untested)
-    first, second = replicated
+    outcomes = zip(*(comparison["outcome"] for comparison in comparisons), strict=True)
+    replicated = [tuple(one == "replicated" for one in pair) for pair in outcomes if not {*pair} & {*UNTESTED}]
+    places = {"both": (True, True), "first": (True, False), "second": (False, True), "neither": (False, False)}
+    counts = {place: replicated.count(pair) for place, pair in places.items()}
     return {
         "groups": [
             {"name": name, "people": group.people, "size": group.size, "study_hash": group.study_hash}
@@ -157,17 +157,11 @@ def side_by_side(here: Group, beside: Group) -> dict[str, Any]:
         ],
         "means": means,
         "findings": findings,
-        "counts": {
-            "both": int((first & second & tested).sum()),
-            "first": int((first & ~second & tested).sum()),
-            "second": int((~first & second & tested).sum()),
-            "neither": int((~first & ~second & tested).sum()),
-            "untested": int((~tested).sum()),
-        },
+        "counts": counts | {"untested": len(findings) - len(replicated)},
     }
 
 
-def conditions_of_both(here: Group, beside: Group) -> dict[str, Condition]:
+def conditions_of_both(here: Group, beside: Group) -> dict[str, ConditionSpec]:
     """The conditions of two groups by name; a letter stands for the same condition in both."""
     trials = pd.concat([group.trials[["condition"]] for group in (here, beside)])
     return conditions_of(trials, beside.declared | here.declared)
@@ -252,9 +246,4 @@ def _read(file: Path) -> pd.DataFrame:
 
 def _manifest(trials_file: Path) -> dict[str, Any]:
     file = trials_file.with_name("manifest.json")
-    if not file.is_file():
-        return {}
-    try:
-        return json.loads(file.read_text(encoding="utf-8"))
-    except json.JSONDecodeError as error:
-        raise ValueError(f"{file} is not JSON: {error}") from error
+    return load_json(file) if file.is_file() else {}

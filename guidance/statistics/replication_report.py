@@ -19,7 +19,6 @@ from guidance.statistics.robustness import (
     influential_assumptions,
     outcomes_of,
     scores_of,
-    spread,
 )
 from guidance.study.replication import ONE_PLAYSTYLE, REPLICATES, SHUFFLED_ADAPTATION, batches_of
 
@@ -42,10 +41,11 @@ def summarize(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
         with atomic_write(folder / f"{name}.csv") as temporary:
             table.to_csv(temporary, index=False)
     svg = save_figure(lambda: robustness_map(findings), folder, "robustness", dpi=130)
-    by_group = {
-        group: {"studies": len(rows)} | {name: spread(rows[name]) for name in rows.columns[2:]}
-        for group, rows in scores.groupby("group", sort=False)
-    }
+    by_group = {}
+    for group, rows in scores.groupby("group", sort=False):
+        rows = rows.drop(columns=["group", "study"])
+        points = {"mean": rows.mean(), "low": rows.quantile(0.05), "high": rows.quantile(0.95)}
+        by_group[group] = {"studies": len(rows)} | pd.DataFrame(points).T.to_dict()
     by_chance, rerun = reference_points(cfg.participants)
     page = template(Path(__file__).parent / "templates", "replication_report.html").render(
         groups=by_group,

@@ -13,6 +13,7 @@ import pandas as pd
 from airhockey_marl.experiment.files import atomic_write, write_text
 from airhockey_marl.experiment.html import template
 from airhockey_marl.experiment.plotting import save_figure
+from guidance.forces.condition_specs import ConditionSpec
 from guidance.statistics.design import (
     ALPHA,
     BEYOND,
@@ -20,7 +21,6 @@ from guidance.statistics.design import (
     FAMILIES,
     FEWEST_PARTICIPANTS,
     METRICS,
-    Condition,
     conditions_of,
 )
 from guidance.statistics.figures import figure6, means_beside
@@ -67,7 +67,9 @@ def write_report(
     return group
 
 
-def screen_table(trials: pd.DataFrame, people: bool = False, declared: Mapping[str, Condition] | None = None) -> str:
+def screen_table(
+    trials: pd.DataFrame, people: bool = False, declared: Mapping[str, ConditionSpec] | None = None
+) -> str:
     """The means of the eight metrics per condition as aligned text, 97 characters wide, for a terminal."""
     ratings = "7-point ratings" if people else "PROXY of the 7-point ratings"
     means = trials.groupby("condition")[list(METRICS)].mean()
@@ -140,7 +142,7 @@ def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
         wrong=comparison[comparison["outcome"] == "false_positives"].to_dict("records"),
         paired=_paired_rows(tests, comparison),
         anovas=_anova_rows(tests[tests["family"] != BEYOND]),
-        own=[condition for condition in conditions.values() if condition.guidance == BEYOND],
+        own=[condition for condition in conditions.values() if condition.type == BEYOND],
         beyond=_beyond_rows(tests),
         planned_comparisons=tests[tests["test"] == "planned"].to_dict("records"),
         by_ranks=int((by_ranks & ~findings["metric"].isin(withdrawn)).sum()),
@@ -163,7 +165,7 @@ def _other(x: str, y: str, letter: str) -> str:
     return {x: y, y: x}.get(letter, "")
 
 
-def _means(trials: pd.DataFrame, conditions: Mapping[str, Condition]) -> list[dict[Any, Any]]:
+def _means(trials: pd.DataFrame, conditions: Mapping[str, ConditionSpec]) -> list[dict[Any, Any]]:
     by_condition, n = (
         trials.groupby("condition")[list(METRICS)].agg(["mean", "std"]),
         trials["condition"].value_counts(),

@@ -1,6 +1,6 @@
 """Robustness of the paper's findings over many studies: replication rates, effect sizes, influence of assumptions."""
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection
 
 import numpy as np
 import pandas as pd
@@ -116,13 +116,3 @@ def influential_assumptions(outcomes: pd.DataFrame, factors: pd.DataFrame, stron
             for name, rho, p in correlations[:strongest]
         ]
     return pd.DataFrame(rows, columns=[*PAIR, "parameter", "correlation", "p"])
-
-
-def spread(values: Sequence[float]) -> dict[str, float]:
-    """Mean, and the 5 and 95 % points."""
-    values = np.asarray(values, dtype=float)
-    return {
-        "mean": float(np.nanmean(values)),
-        "low": float(np.nanquantile(values, 0.05)),
-        "high": float(np.nanquantile(values, 0.95)),
-    }

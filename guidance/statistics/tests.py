@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from guidance.forces.condition_specs import ConditionSpec
 from guidance.statistics.design import (
     ALPHA,
     BEYOND,
@@ -23,7 +24,6 @@ from guidance.statistics.design import (
     FAMILIES,
     FEWEST_PARTICIPANTS,
     METRICS,
-    Condition,
     Metric,
     conditions_of,
 )
@@ -45,7 +45,7 @@ TESTS_DTYPES = (
 def run_tests(
     trials: pd.DataFrame,
     people: bool = False,
-    declared: Mapping[str, Condition] | None = None,
+    declared: Mapping[str, ConditionSpec] | None = None,
     extra: Mapping[str, Metric] | None = None,
 ) -> pd.DataFrame:
     """Run every test of section 5 that the conditions present allow.
@@ -81,7 +81,7 @@ def run_tests(
     check_trials(trials, people)
     rows: list[dict[str, Any]] = []
     conditions = conditions_of(trials, declared)
-    own = {name: condition for name, condition in conditions.items() if condition.guidance == BEYOND}
+    own = {name: condition for name, condition in conditions.items() if condition.type == BEYOND}
     families, metrics = dict(FAMILIES), METRICS | {name: m for name, m in (extra or {}).items() if name in trials}
     if own:
         families[BEYOND] = FAMILIES["types"] + "".join(condition.letter for condition in own.values())
@@ -92,8 +92,9 @@ def run_tests(
                 rows += [_about(family, metric, metrics[metric].kind, people) | row for row in _compare(scores)]
         for (name, condition), metric in product(own.items(), metrics):
             pairs = [_scores(tidy, metric, letter + condition.letter) for letter in condition.against]
-            pairs = [scores for scores in pairs if scores is not None and scores.shape[1] == 2]
-            rows += [_about(name, metric, metrics[metric].kind, people) | row for row in _planned(pairs)]
+            pairs = [_paired_t(scores, *scores) for scores in pairs if scores is not None and scores.shape[1] == 2]
+            planned = _corrected("planned", pairs, anova_not_significant=False)
+            rows += [_about(name, metric, metrics[metric].kind, people) | row for row in planned]
     tests = pd.DataFrame(rows, columns=list(TESTS_DTYPES))
     return tests.fillna({"x": "", "y": "", "greater": ""}).astype(TESTS_DTYPES)
 
@@ -152,11 +153,6 @@ def _compare(scores: pd.DataFrame) -> list[dict[str, Any]]:
     posthoc = [_paired_t(scores, *pair) for pair in pairs]
     verdict = _verdict("rm_anova", anova["p_corrected"], anova_not_significant=False)
     return [anova | verdict, *_corrected("posthoc", posthoc, anova_not_significant)]
-
-
-def _planned(pairs: list[pd.DataFrame]) -> list[dict[str, Any]]:
-    """Planned comparisons of one metric; scores (participants, 2) each, corrected for their number."""
-    return _corrected("planned", [_paired_t(scores, *scores.columns) for scores in pairs], anova_not_significant=False)
 
 
 def _corrected(test: str, rows: list[dict[str, Any]], anova_not_significant: bool) -> list[dict[str, Any]]:

@@ -15,10 +15,9 @@ from torch import Tensor
 
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec
 from airhockey_marl.envs.world import World
-from airhockey_marl.experiment.validation import check_rows
 from airhockey_marl.players.players import Player
 from guidance.forces.conditions import GuidanceOutput
-from guidance.study.metrics import EXTRA_METRICS, RunningMoments, disagreement, metric_values, new_counters, record
+from guidance.study.metrics import EXTRA_METRICS, METRIC_COUNTERS, RunningMoments, disagreement, metric_values, record
 from guidance.study.protocol import Protocol, ProtocolState
 
 
@@ -94,10 +93,7 @@ class GameRunner:
 
     def tick(self, forces: Forces = no_force, games: np.ndarray | None = None) -> GameStep:
         """Play one tick at the tables `games` (k,), at all of them if None."""
-        if games is None:
-            games = self._all
-        else:
-            check_rows("games", games, len(self._all))
+        games = self._all if games is None else games
         tables, actions = self.tables, self._actions
         tables.observe(LEFT, self._state)
         self.puck_before = tables.bodies[:, PUCK].copy()
@@ -121,7 +117,7 @@ class MetricsRecorder:
     def __init__(self, runner: GameRunner, extra: Sequence[str] = ()) -> None:
         n = len(runner.everyone)
         self._extra = {name: EXTRA_METRICS.find(name, "metrics")(n, runner.tables.table) for name in extra}
-        self.runner, self._counters = runner, new_counters(n)
+        self.runner, self._counters = runner, np.zeros(n, dtype=METRIC_COUNTERS)
         self._weights = {name: RunningMoments(n) for name in GuidanceOutput._fields[1:]}
 
     def add(self, tick: GameStep) -> None:

@@ -56,11 +56,6 @@ METRIC_COUNTERS = np.dtype(
 )
 
 
-def new_counters(n: int) -> np.ndarray:
-    """Zeroed `METRIC_COUNTERS` (n,) of n games."""
-    return np.zeros(n, dtype=METRIC_COUNTERS)
-
-
 def disagreement(force: np.ndarray, action_change: np.ndarray) -> np.ndarray:
     """Disagreement (...) in N of forces (..., 2) with the change of action (..., 2) in the same tick (section 4.3).
 

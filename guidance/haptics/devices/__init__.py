@@ -3,6 +3,7 @@
 Positions are in m from the center of the workspace: x toward the opponent, y to the player's left, as on the table.
 """
 
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Protocol
 
 if TYPE_CHECKING:  # the servo process starts without numpy
@@ -15,20 +16,27 @@ class DeviceError(OSError):
     """A device cannot be opened, or fails."""
 
 
-class Device(Protocol):
-    """The position of a hand, and a force on it. Every failure is an exception."""
+class Hand(Protocol):
+    """A hand at a device."""
 
     @property
+    @abstractmethod
     def position(self) -> Pair:
         """(2,) m, of the hand relative to the center."""
 
     @property
+    @abstractmethod
     def velocity(self) -> Pair:
         """(2,) m/s, of the hand."""
 
     @property
+    @abstractmethod
     def is_held(self) -> bool:
         """Dead man's switch: whether the hand is at the device."""
+
+
+class Device(Hand, Protocol):
+    """The position of a hand, and a force on it. Every failure is an exception."""
 
     def set_force(self, force: Pair) -> None:
         """Apply this force, (2,) N, to the hand until another is set."""

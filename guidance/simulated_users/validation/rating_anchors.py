@@ -24,6 +24,7 @@ ANCHORS = ("oracle", "replayed", "random", "anti")  # from the best to the worst
 ANCHOR_STIFFNESS = 50.0  # N/m
 ANCHOR_MAX_FORCE = 3.0  # N
 RANDOM_HOLD_TIME = 0.3  # s
+TABLE = TableSpec()
 
 # The anchor that gives each signal its unit.
 UNIT_ANCHORS = {
@@ -49,10 +50,8 @@ def play_anchor(
     people: np.ndarray,
     opponent: Callable[[np.ndarray], np.ndarray],
     anchor: str,
-    table: TableSpec | None = None,
     seconds: float = 120.0,
     seed: int = 0,
-    variant: str = "comply_or_resist",
     advisors: Advisors | None = None,
 ) -> SimulatedUsers:
     """Play one game of `seconds` per person (left) against `opponent` (right) under an anchor force.
@@ -65,10 +64,14 @@ def play_anchor(
     Returns:
         The people after the game, with their `signals` and `ratings`.
     """
-    table = table or TableSpec()
     rng, n = np.random.default_rng([seed, (*ANCHORS, "none").index(anchor)]), len(people)
-    hold, angle = max(1, round(RANDOM_HOLD_TIME / table.tick)), np.zeros(n)
+    hold, angle = max(1, round(RANDOM_HOLD_TIME / TABLE.tick)), np.zeros(n)
     replay: list[np.ndarray] = []
+
+    def record(users: SimulatedUsers, tick: int) -> np.ndarray:
+        force = oracle_force(users)
+        replay.append(np.roll(force, 1, axis=0))  # for the next person
+        return force
 
     def anchor_force(users: SimulatedUsers, tick: int) -> np.ndarray:
         nonlocal angle
@@ -83,43 +86,25 @@ def play_anchor(
             return np.hypot(force[:, :1], force[:, 1:]) * np.stack([np.cos(angle), np.sin(angle)], axis=1)
         return force if anchor == "oracle" else -force
 
-    def recorded_force(users: SimulatedUsers, tick: int) -> np.ndarray:
-        force = oracle_force(users)
-        replay.append(np.roll(force, 1, axis=0))  # for the next person
-        return force
+    def play(force_of: Callable[[SimulatedUsers, int], np.ndarray], seed: int) -> SimulatedUsers:
+        users, tables = SimulatedUsers(people, personal_streams(n, seed), TABLE, advisors=advisors), World(n, TABLE)
+        tables.seed(seed)
+        tables.new_rounds()
+        left, right, actions = np.zeros((n, 12)), np.zeros((n, 12)), np.zeros((n, 2, 2))
+        for tick in range(round(seconds / TABLE.tick)):
+            force = force_of(users, tick)
+            actions[:, LEFT] = users.step(tables.observe(LEFT, left), force)
+            actions[:, RIGHT] = opponent(tables.observe(RIGHT, right))
+            tables.step(actions)
+            scored = tables.goals != 0
+            if scored.any():
+                tables.new_rounds(scored)
+                users.new_round(scored)
+        return users
 
-    def users_of_game(seed: int) -> SimulatedUsers:
-        return SimulatedUsers(people, personal_streams(n, seed), table, variant, advisors)
-
-    ticks = round(seconds / table.tick)
     if anchor == "replayed":
-        play_with_force(users_of_game(seed + 1), opponent, recorded_force, ticks, seed + 1)
-    return play_with_force(users_of_game(seed), opponent, anchor_force, ticks, seed)
-
-
-def play_with_force(
-    users: SimulatedUsers,
-    opponent: Callable[[np.ndarray], np.ndarray],
-    force_of: Callable[[SimulatedUsers, int], np.ndarray],
-    ticks: int,
-    seed: int,
-) -> SimulatedUsers:
-    """Play `ticks` under the forces (n, 2) N that `force_of` computes from the users and the number of the tick."""
-    n = users.n
-    tables = World(n, users.table)
-    tables.seed(seed)
-    tables.new_rounds()
-    left, right, actions = np.zeros((n, 12)), np.zeros((n, 12)), np.zeros((n, 2, 2))
-    for tick in range(ticks):
-        force = force_of(users, tick)
-        actions[:, LEFT] = users.step(tables.observe(LEFT, left), force)
-        actions[:, RIGHT] = opponent(tables.observe(RIGHT, right))
-        tables.step(actions)
-        scored = tables.goals != 0
-        if scored.any():
-            tables.new_rounds(scored)
-            users.new_round(scored)
-    return users
+        play(record, seed + 1)
+    return play(anchor_force, seed)
 
 
 def known_order(z_scores: Mapping[str, np.ndarray]) -> dict[str, bool]:
@@ -135,7 +120,6 @@ def known_order(z_scores: Mapping[str, np.ndarray]) -> dict[str, bool]:
 def anchor_scales(
     people: np.ndarray,
     opponent: Callable[[np.ndarray], np.ndarray],
-    table: TableSpec | None = None,
     seconds: float = 120.0,
     seed: int = 0,
     advisors: Advisors | None = None,
@@ -148,7 +132,7 @@ def anchor_scales(
     Raises:
         ValueError: a signal is not positive under its anchor, so cannot be a unit; play longer.
     """
-    games = {name: play_anchor(people, opponent, name, table, seconds, seed, advisors=advisors) for name in ANCHORS}
+    games = {name: play_anchor(people, opponent, name, seconds, seed, advisors) for name in ANCHORS}
     means = {name: users.signals.mean(axis=0) for name, users in games.items()}
     scales = {signal: float(means[UNIT_ANCHORS[signal]][column]) for column, signal in enumerate(SIGNALS)}
     for signal, value in scales.items():

@@ -19,7 +19,7 @@ from guidance.commands import evaluate, lab, report
 from guidance.display.window import MIN_WIDTH, Window
 from guidance.haptics.screen import SimulatedClock
 from guidance.sessions.bids import Records
-from guidance.sessions.tick_log import read_ticks
+from guidance.sessions.game import read_ticks
 from guidance.simulated_users.ratings import RATINGS
 from tests.processes import Command, start
 

@@ -25,8 +25,8 @@ from guidance.haptics.screen import NullDisplay, SimulatedClock
 from guidance.haptics.seat import RealTimePlayer
 from guidance.haptics.servo import InProcessServo
 from guidance.sessions.free_play import MIN_DEMONSTRATION_TICKS, FreePlay
-from guidance.sessions.game import load_games
-from guidance.sessions.tick_log import COLUMNS, demonstration, read_ticks
+from guidance.sessions.game import load_games, read_ticks
+from guidance.sessions.tick_log import COLUMNS, demonstration
 from guidance.simulated_users import SimulatedUsers, sample_people
 from guidance.study.models import Models
 from guidance.study.protocol import spawn_rng_states
@@ -122,12 +122,12 @@ def test_a_guidance_with_ua_waits_for_the_players_own_game(shipped, tmp_path):
     assert any("the user model is yours now" in note for note in notes)
     assert list(game.games) == ["01nhg", "02nhg", "03combhgutuasc"]
     models = shipped[0]
-    own = models.adapted_to([demonstration(game.games["01nhg"].ticks())])
+    own = models.adapted_to([demonstration(read_ticks(game.games["01nhg"].file))])
     for adapted, again in zip(game.adapted.values(True, True), own.values(True, True), strict=True):
         assert torch.equal(adapted, again)  # what was learned from is what was recorded
-    ticks = game.games["03combhgutuasc"].ticks()
+    ticks = read_ticks(game.games["03combhgutuasc"].file)
     assert ticks["w_sim"].notna().all() and game.games["03combhgutuasc"].facts["adapted"]
-    general = game.games["01nhg"].ticks()
+    general = read_ticks(game.games["01nhg"].file)
     assert len(general) == enough + 51 and not game.games["01nhg"].facts["adapted"]
 
 
@@ -138,13 +138,13 @@ def test_a_mouse_plays_where_it_points(shipped, tmp_path):
     game = FreePlay(conditions, models, opponents, 0, 0.1, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path)
     mouse.point(0.03, -0.06)
     game.run(conditions["1"], 1.0)
-    ticks = game.games["01nhg"].ticks()
+    ticks = read_ticks(game.games["01nhg"].file)
     assert np.allclose(ticks[["action_x", "action_y"]].iloc[-1], [0.4, -0.8], atol=1e-6)
     game = FreePlay(
         conditions, models, opponents, 0, 0.1, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path / "pushed"
     )
     game.run(conditions["2"], 4.0)
-    ticks = game.games["01oahg"].ticks()
+    ticks = read_ticks(game.games["01oahg"].file)
     pulled = ticks[["action_x", "action_y"]].to_numpy() - [0.4, -0.8]
     asked = ticks[["force_x", "force_y"]].to_numpy()
     assert np.abs(pulled).max() > 0.05  # guidance is felt as a pull on the cursor
@@ -190,7 +190,7 @@ def test_the_command_plays_in_real_time_and_says_how_it_went(tmp_path):
     done = start("guidance", "play", "device=simulated", "seconds=2", "breath=0", f"hydra.run.dir={tmp_path}")
     assert done.returncode == 0, done.stderr
     (game,) = load_games(tmp_path).values()
-    assert len(game.ticks()) == 100
+    assert len(read_ticks(game.file)) == 100
     assert "01 NHG, generation 55" in done.stdout and f"again: airhockey watch run={tmp_path}" in done.stdout
     description = json.loads(game.file.with_suffix(".json").read_text())
     assert description["felt_x"]["Units"] == "N"
@@ -205,4 +205,4 @@ def test_who_is_told_to_end_ends_well(tmp_path):
     done = command.wait()
     assert done.returncode == 0 and "again: airhockey watch" in done.stdout, done.stderr
     (game,) = load_games(tmp_path).values()
-    assert len(game.ticks()) == pytest.approx(game.results["duration_s"] / TABLE.tick)
+    assert len(read_ticks(game.file)) == pytest.approx(game.results["duration_s"] / TABLE.tick)

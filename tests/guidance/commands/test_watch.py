@@ -78,9 +78,8 @@ def still(**values: float) -> pd.DataFrame:
     """One tick with everything at rest but for `values`, and targets that are no larger than a dot."""
     middle = {"own_x": -0.487, "other_x": 0.487, "optimal_y": 0.9, "predicted_y": -0.9}
     names = ("own", "other", "puck", "wanted", "force", *TARGETS, *(f"{model}_std" for model in TARGETS))
-    row = {f"{name}_{axis}": 0.0 for name in names for axis in "xy"} | middle
+    row = dict.fromkeys(STATE, 0.0) | {f"{name}_{axis}": 0.0 for name in names for axis in "xy"} | middle
     row |= {"round": 1, "won": 0, "lost": 0, "goal": 0, "time_s": 0.02, "intention": "WAIT"}
-    row |= {"puck_vx": 0.0, "puck_vy": 0.0}
     row |= dict.fromkeys(("w_unc_optimal", "w_unc_predicted", "w_sim"), float("nan"))
     return pd.DataFrame([row | values])
 

@@ -44,11 +44,15 @@ def press(*keys: int | str) -> None:
         pygame.event.post(pygame.event.Event(pygame.KEYDOWN, key=code, unicode=text, mod=0))
 
 
+def screenshot(window: Window) -> np.ndarray:
+    return pygame.surfarray.array3d(window.surface).swapaxes(0, 1).astype(int)
+
+
 def shown(window: Window, now: DisplayState) -> np.ndarray:
     """(height, width, 3) the picture, without the trails of those before."""
-    window.arena._trail = []
+    window.arena.trail = []
     window.frame(now)
-    return window.screenshot().astype(int)
+    return screenshot(window)
 
 
 def color_at(window: Window, picture: np.ndarray, x: float, y: float) -> tuple[int, ...]:
@@ -110,7 +114,7 @@ def test_a_serve_leaves_no_trail(window):
     served = STATE.copy()
     served[8:10] = -0.4, -0.4
     window.frame(moment(state=served))
-    picture = window.screenshot().astype(int)
+    picture = screenshot(window)
     assert color_at(window, picture, -0.1, -0.05) == FELT
 
 
@@ -225,7 +229,7 @@ def test_a_long_text_is_several_pages_and_none_of_it_is_lost(window):
     assert [list(part.keys) for part in parts] == [["space"]] * (len(parts) - 1) + [["y", "n"]]
     for part in parts:
         part.draw(window.surface)
-        assert (window.screenshot()[-20:] == PAPER).all()
+        assert (screenshot(window)[-20:] == PAPER).all()
     press("y", *["space"] * (len(parts) - 1), "n")
     assert window.page(Page("Title", " ".join(words), {"y": "yes", "n": "no"})) == "n"
 
@@ -248,7 +252,7 @@ def test_the_mouse_can_be_seen_where_it_answers(window):
 
 def test_before_a_game_there_is_an_empty_table(window):
     window.frame(DisplayState(title="Game 1 of 9"))
-    picture = window.screenshot().astype(int)[BAR : BAR + window.arena.size[1]]
+    picture = screenshot(window)[BAR : BAR + window.arena.size[1]]
     assert not any((picture == COLORS[body]).all(axis=2).any() for body in (PUCK, RIGHT))
 
 
@@ -297,11 +301,11 @@ def test_every_text_fits(width):
     pages += [Page("Keys", "", nine | KEYS), Page("Keys", "", LAB_KEYS)]
     for page in pages:
         page.draw(window.surface)
-        edges = window.screenshot()
+        edges = screenshot(window)
         for part in (edges[:, -20:], edges[-20:], edges[:, :20]):
             assert (part == PAPER).all(), page.title
     Items("Game 9 of 9: how was the guidance?", ITEMS, "not at all", "very much").draw(window.surface)
-    edges = window.screenshot()
+    edges = screenshot(window)
     assert (edges[:, -20:] == PAPER).all() and (edges[-20:] == PAPER).all()
     weights = {"W_unc optimal": 1.0, "W_unc predicted": 0.5, "W_sim": 0.2}
     busy = moment(

@@ -21,13 +21,13 @@ from hypothesis import strategies as st
 
 from guidance.forces.conditions import GuidanceOutput
 from guidance.sessions.bids import TRIALS, Records
-from guidance.sessions.game import RESULTS, UNSCORED
+from guidance.sessions.game import RESULTS, UNSCORED, read_ticks
 from guidance.sessions.participant import NOT_LABELS
 from guidance.simulated_users.ratings import RATINGS
 from guidance.statistics.design import CONDITIONS
 from guidance.statistics.groups import gather, merge
+from guidance.study.metrics import METRIC_COUNTERS
 from guidance.study.metrics import metric_values as metrics_of
-from guidance.study.metrics import new_counters
 
 FACTS = {"study_hash": "ab12" * 16, "seed": 7, "config": {"participants": 20}}
 COLUMNS = {
@@ -149,7 +149,7 @@ def test_a_study_is_laid_out_as_bids_has_it(records, folder):
 
 def test_trials_have_the_columns_of_the_simulated_study(records, folder):
     weights = [f"{weight}_{part}" for weight in GuidanceOutput._fields[1:] for part in ("mean", "sd")]
-    objective = list(metrics_of(new_counters(1)))
+    objective = list(metrics_of(np.zeros(1, METRIC_COUNTERS)))
     columns = ["user", "condition", "position", *objective, *RATINGS, "rounds", "duration_s", *weights, "seed"]
     assert columns == TRIALS and (folder / "trials.csv").read_text().strip() == ",".join(columns)
     for label in ("P02", "P01"):
@@ -185,7 +185,7 @@ def test_ticks_come_back_with_the_same_bits(rows):
         _, recording = begun(records)
         for part in (rows[:3], rows[3:]):
             recording.append(part)
-        ticks = recording.finish(results_of("P01", UNSCORED)).ticks()
+        ticks = read_ticks(recording.finish(results_of("P01", UNSCORED)).file)
         assert list(ticks) == list(COLUMNS) and len(ticks) == len(rows)
         for column in COLUMNS:
             expected = [np.nan if row.get(column) is None else float(row[column]) for row in rows]
@@ -206,7 +206,7 @@ def test_ticks_are_numbers(records, rows, message):
     recording.append([{"t": 0.5}])
     with pytest.raises(ValueError, match=message):
         recording.append(rows)
-    assert recording.finish(results_of("P01", UNSCORED)).ticks()["t"].tolist() == [0.5]
+    assert read_ticks(recording.finish(results_of("P01", UNSCORED)).file)["t"].tolist() == [0.5]
 
 
 LABELS = st.text(st.sampled_from("abcXYZ019"), min_size=1, max_size=16) | st.from_regex(
@@ -434,12 +434,13 @@ def test_an_interrupted_game_is_kept_and_counts_for_nothing(records, folder):
     person, recording = begun(records)
     recording.append([{"t": 3.0}])
     game = recording.finish(results_of("P01", UNSCORED))
-    assert [path.name.split("_")[-2] for path in person.interrupted] == [f"desc-interrupted{k}" for k in (1, 2, 3)]
-    assert [float(path.read_text().splitlines()[1].split("\t")[0]) for path in person.interrupted] == [0.0, 1.0, 2.0]
-    for path in person.interrupted:
+    kept = sorted(folder.glob("sub-P01/beh/*_desc-interrupted*_beh.tsv"))
+    assert [path.name.split("_")[-2] for path in kept] == [f"desc-interrupted{k}" for k in (1, 2, 3)]
+    assert [float(path.read_text().splitlines()[1].split("\t")[0]) for path in kept] == [0.0, 1.0, 2.0]
+    for path in kept:
         described = json.loads(path.with_suffix(".json").read_text())
         assert described["t"] == COLUMNS["t"] and "Results" not in described
-    assert game.ticks()["t"].tolist() == [3.0]
+    assert read_ticks(game.file)["t"].tolist() == [3.0]
     assert list(person.games) == [UNSCORED] and not list(folder.rglob("*partial*"))
     records.close()
 
@@ -510,7 +511,7 @@ def test_a_disk_that_fails_takes_nothing_and_can_be_mended(records, folder, monk
         assert len(again.trials()) == 5
         for name, game in again.participant("P01").games.items():
             expected = pd.concat([ticks_of("P01", name, round_) for round_ in range(3)], ignore_index=True)
-            pd.testing.assert_frame_equal(game.ticks(), expected.astype({"scored": int}), check_exact=True)
+            pd.testing.assert_frame_equal(read_ticks(game.file), expected.astype({"scored": int}), check_exact=True)
 
 
 def test_a_game_whose_end_failed_halfway_is_complete(records, monkeypatch):
@@ -533,7 +534,7 @@ def test_a_game_whose_end_failed_halfway_is_complete(records, monkeypatch):
     with pytest.raises(ValueError, match="P01 has played oahg already"):
         person.begin_game("oahg", 1, COLUMNS)
     person.save_ratings("oahg", ratings_of("P01", "oahg"))
-    assert person.games["oahg"].ticks()["t"].tolist() == [1.0] and len(records.trials()) == 2
+    assert read_ticks(person.games["oahg"].file)["t"].tolist() == [1.0] and len(records.trials()) == 2
     assert not list(records.folder.rglob("*partial*"))
 
 
@@ -555,7 +556,7 @@ def test_a_full_disk_in_the_middle_of_a_game(folder):
 
     assert status_of(child(task)) == 0
     with Records(folder, FACTS) as records:
-        ticks = records.participant("P01").games["oahg"].ticks()
+        ticks = read_ticks(records.participant("P01").games["oahg"].file)
         expected = pd.concat([ticks_of("P01", "oahg", round_) for round_ in range(2)], ignore_index=True)
         pd.testing.assert_frame_equal(ticks, expected.astype({"scored": int}), check_exact=True)
 

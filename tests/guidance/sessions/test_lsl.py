@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from guidance.sessions.lsl import MARKERS, TICKS, open_streams
+from guidance.sessions.lsl import MARKERS, TICKS, LabStreams
 from guidance.sessions.tick_log import COLUMNS
 
 pylsl = pytest.importorskip("pylsl", exc_type=(ImportError, RuntimeError))
@@ -19,7 +19,7 @@ def listener(name: str) -> "pylsl.StreamInlet":
 
 
 def test_markers_and_ticks_arrive():
-    streams = open_streams()
+    streams = LabStreams()
     markers, ticks = listener(MARKERS), listener(TICKS)
     assert streams._markers.wait_for_consumers(10) and streams._ticks.wait_for_consumers(10)
     rows = [{name: float(i + tick) for i, name in enumerate(COLUMNS)} for tick in range(3)]
@@ -41,4 +41,4 @@ def test_without_the_package_the_command_says_what_to_install(monkeypatch):
 
     monkeypatch.setitem(sys.modules, "pylsl", None)
     with pytest.raises(ValueError, match=r"pip install -e '.\[lsl\]'"):
-        open_streams()
+        LabStreams()

@@ -196,7 +196,7 @@ def test_figure_draws_means_and_intervals(trials):
         np.testing.assert_allclose([bar.get_height() for bar in axes.containers[0]], means[metric])
         assert [tick.get_text() for tick in axes.get_xticklabels()] == [f"({letter})" for letter in "abcdefghi"]
     colors = [bar.get_facecolor() for bar in figure.axes[0].containers[0]]
-    assert colors == [to_rgba(COLORS[condition.guidance]) for condition in CONDITIONS.values()]
+    assert colors == [to_rgba(COLORS[condition.type]) for condition in CONDITIONS.values()]
     disagreement = figure.axes[list(METRICS).index("mean_disagreement")]
     assert [text.get_text() for text in disagreement.texts] == ["–"]  # under NHG
 
@@ -376,15 +376,17 @@ def test_withdrawn_proxies_count_for_nothing(trials, tmp_path):
 
 
 def test_conditions_beyond_the_paper_have_a_section_and_a_bar(trials, tmp_path):
-    mine = trials[trials["condition"] == "oahg_ut"].assign(condition="<mine>", win_rate=lambda t: t["win_rate"] + 0.5)
+    mine = trials[trials["condition"] == "oahg_ut"].assign(condition="mine", win_rate=lambda t: t["win_rate"] + 0.5)
     everything = pd.concat([trials, mine], ignore_index=True)
-    write_report(everything, tmp_path, {})
+    group = write_report(everything, tmp_path, {"conditions": [{"name": "mine", "letter": "j", "label": "<mine>"}]})
     page = (tmp_path / "report.html").read_text(encoding="utf-8")
     text = text_of(page)
     assert "Beyond the paper (j) <mine> is not a condition of the paper." in text and "<mine>" not in page
     assert "Win rate (j) <mine> > (a) NHG" in text
     assert len(figure6(everything).axes[0].patches) == 10
-    assert "(j) <mine>" in screen_table(everything)
+    assert "(j) <mine>" in screen_table(everything, declared=group.declared)
+    with pytest.raises(ValueError, match=r"condition\.name = '<mine>' must be a word"):
+        write_report(everything.replace({"condition": {"mine": "<mine>"}}), tmp_path, {})
 
 
 PEOPLE = {

@@ -5,7 +5,7 @@ import pytest
 import torch
 
 from airhockey_marl.envs.physics import TableSpec
-from guidance.study.metrics import RunningMoments, disagreement, metric_values, new_counters, record
+from guidance.study.metrics import METRIC_COUNTERS, RunningMoments, disagreement, metric_values, record
 
 TABLE = TableSpec()
 MINE, THEIRS = 1, 2
@@ -13,7 +13,7 @@ MINE, THEIRS = 1, 2
 
 def play(*ticks: dict) -> dict[str, float]:
     """Enter a game of ticks, each: puck before and after (x, y, vx, vy), who touched, goal, served, disagreement."""
-    counters = new_counters(1)
+    counters = np.zeros(1, METRIC_COUNTERS)
     for entry in ticks:
         record(
             counters,
