@@ -138,11 +138,9 @@ class FreePlay:
 
     def summary(self) -> pd.DataFrame:
         """The results, a row per stretch."""
-        rows = {
-            f"{game.position:02d} {game.facts['title']}, {game.facts['opponent']}": game.results
-            for game in self.games.values()
-        }
-        return pd.DataFrame.from_dict(rows, orient="index")
+        games = self.games.values()
+        labels = [f"{game.position:02d} {game.facts['title']}, {game.facts['opponent']}" for game in games]
+        return pd.DataFrame([game.results for game in games], index=labels)
 
     def _begin(self, condition: Condition) -> None:
         self.condition, table = condition, self.runner.tables.table

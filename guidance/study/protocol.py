@@ -72,9 +72,9 @@ class ProtocolState:
                 self.rounds += ended
                 long_enough = self.ticks * seconds >= protocol.min_seconds
                 long_enough |= self.rounds >= protocol.rounds + protocol.extra_rounds
-                over = ended & (self.rounds >= protocol.rounds) & long_enough
-                if over.any():
-                    self.playing = games[~over[games]]
+                finished = ended & (self.rounds >= protocol.rounds) & long_enough
+                if finished.any():
+                    self.playing = games[~finished[games]]
         return ended
 
 
