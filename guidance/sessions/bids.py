@@ -34,32 +34,8 @@ from guidance.statistics.design import CONDITIONS
 
 TRIALS = ["user", "condition", "position", *OBJECTIVE, *RATINGS, *RESULTS[len(OBJECTIVE) :], "seed"]
 UNAMBIGUOUS = "23456789BCDFGHJKMNPQRSTVWXYZ"  # without 0 and O, 1, I and L, and vowels, which make words
-DESCRIPTION = {
-    "Name": "Haptic guidance in air hockey: a study with people",
-    "BIDSVersion": "1.10.0",
-    "DatasetType": "raw",
-    "GeneratedBy": [
-        {"Name": "airhockey-haptics", "Description": "guidance.commands.lab, which also holds the study's protocol"}
-    ],
-}
-PARTICIPANTS = {
-    "participant_id": {"Description": "sub- and the person's label"},
-    "place": {"Description": "row, from 0, of the counterbalanced orders in which conditions are played"},
-}
-IGNORED = "manifest.json\ntrials.csv\n*_consent.json\n*_desc-*_beh.*\n"
-README = """Games of air hockey that people played under nine conditions of haptic guidance.
-
-sub-*/beh/*_beh.tsv has a row per tick of a game; the .json beside it describes the columns and has the results of the
-game and its ratings (1 to 7). acq- is the condition, run- its position in the person's order; run-0 is a game without
-guidance to which the user model is adapted, and is not evaluated. Files with desc-interrupted are of interrupted games
-and are not evaluated. trials.csv has a row per rated game. manifest.json has the configuration, seed and models.
-"""
-FILES = {
-    "README": README,
-    ".bidsignore": IGNORED,
-    "dataset_description.json": DESCRIPTION,
-    "participants.json": PARTICIPANTS,
-}
+FILES = Path(__file__).parent / "bids_files"  # that are the same in every study
+PARTICIPANTS_COLUMNS = ["participant_id", "place"]
 
 
 class Records:
@@ -89,10 +65,9 @@ class Records:
         try:
             self.manifest = self._require_same_study(manifest)
             remove_temporary_files(self.folder)
-            for name, content in FILES.items():
+            for name in ("README", ".bidsignore", "dataset_description.json", "participants.json"):
                 if not (self.folder / name).exists():
-                    save = save_text if isinstance(content, str) else save_json
-                    save(self.folder / name, content)
+                    save_text(self.folder / name, (FILES / name.lstrip(".")).read_text(encoding="utf-8"))
             self.places = self._read_places()
             for label in self.places:
                 recover_games(self._person(label) / "beh")
@@ -257,13 +232,13 @@ class Records:
             if not match or match[1] in places or int(match[2]) in places.values():
                 raise ValueError(f"{file}: the line {line!r} must be sub-<label>, a tab and a place, each once")
             places[match[1]] = int(match[2])
-        if header.split("\t") != list(PARTICIPANTS):
-            raise ValueError(f"{file}: the columns {header!r} must be {', '.join(PARTICIPANTS)}")
+        if header.split("\t") != PARTICIPANTS_COLUMNS:
+            raise ValueError(f"{file}: the columns {header!r} must be {', '.join(PARTICIPANTS_COLUMNS)}")
         return places
 
     def _save_places(self, places: Mapping[str, int]) -> None:
         places = dict(sorted(places.items(), key=lambda item: item[1]))
-        lines = ["\t".join(PARTICIPANTS), *(f"sub-{label}\t{place}" for label, place in places.items())]
+        lines = ["\t".join(PARTICIPANTS_COLUMNS), *(f"sub-{label}\t{place}" for label, place in places.items())]
         save_text(self.folder / "participants.tsv", "".join(f"{line}\n" for line in lines))
         self.places = places
 

@@ -29,50 +29,7 @@ from guidance.study.models import Models
 from guidance.study.setup import StudySetup
 
 ACTION = ["action_x", "action_y"]
-_PADDLES = {
-    f"{body}_{part}": (f"{what}, {axis} of its {of}", unit)
-    for body, what in (("own", "the own paddle"), ("other", "the opponent's paddle"), ("puck", "the puck"))
-    for part, axis, of, unit in (
-        ("x", "x", "place: from the table's center toward the opponent", "m"),
-        ("y", "y", "place: to the left", "m"),
-        ("vx", "x", "velocity", "m/s"),
-        ("vy", "y", "velocity", "m/s"),
-    )
-}
-_TARGETS = {
-    f"{model}{part}_{axis}": (f"what {name} says of the looked-ahead state: {what} of the action, {axis}", "action")
-    for model, name in (
-        ("optimal", "the optimal action model"),
-        ("predicted", "the user model, adapted if there is one"),
-    )
-    for part, what in (("", "mean"), ("_std", "STD"))
-    for axis in "xy"
-}
-_MEANINGS = {
-    "time_s": ("time at the tick's end since the game, or its familiarization, began", "s"),
-    "scored": ("1 in the game itself, 0 in the familiarization before it", "1"),
-    "round": ("number of the round, from 1", "1"),
-    "won": ("rounds that the person has won, with this tick", "1"),
-    "lost": ("rounds that the opponent has won, with this tick", "1"),
-    "goal": ("1 if the person scored in this tick, -1 if the opponent did, else 0", "1"),
-    "held": ("1 if the hand was at the device", "1"),
-    "hand_x": ("where the hand was, from the center of its workspace toward the opponent", "m"),
-    "hand_y": ("where the hand was, to the left", "m"),
-    **_PADDLES,
-    **_TARGETS,
-    "w_unc_optimal": ("W_unc of the optimal action model (Eq. 5), where the guidance has it", "1"),
-    "w_unc_predicted": ("W_unc of the user model (Eq. 5), where the guidance has it", "1"),
-    "w_sim": ("W_sim (Eq. 7), where the guidance has it", "1"),
-    "force_x": ("the guidance's force on the hand, held for the tick, toward the opponent", "N"),
-    "force_y": ("the guidance's force on the hand, to the left", "N"),
-    "felt_x": ("what the hand felt at the tick's end, after the safety layer, toward the opponent", "N"),
-    "felt_y": ("the same, to the left", "N"),
-    "action_x": ("where the hand was at the tick's end, over its reach: the action", "1"),
-    "action_y": ("the same to the left", "1"),
-}
-COLUMNS = MappingProxyType(
-    {name: {"Description": meaning, "Units": unit} for name, (meaning, unit) in _MEANINGS.items()}
-)
+COLUMNS = MappingProxyType(load_json(Path(__file__).parent / "bids_files" / "columns.json"))
 """Description and unit of every column; all but goal and action are of the beginning of the tick."""
 
 
