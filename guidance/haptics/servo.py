@@ -4,11 +4,12 @@ The guidance requests a force every 20 ms. In between, the force is interpolated
 the newest and passes the safety layer on its way to the device.
 """
 
+from collections.abc import Sequence
 from math import inf
 from typing import TYPE_CHECKING
 
 from guidance.haptics.devices import Device, Pair, VirtualDevice
-from guidance.haptics.hand import HapticHand
+from guidance.haptics.hand import CLOSED, HapticHand
 from guidance.haptics.safety import NO_FORCE, Safety, SafetyLimits, clip_norm
 
 if TYPE_CHECKING:  # the servo process starts without numpy
@@ -84,12 +85,11 @@ class InProcessServo(HapticHand):
     """The servo of a virtual device, in steps of 1 ms by `advance`; deterministic, given the pushes and the device."""
 
     def __init__(self, device: VirtualDevice, limits: SafetyLimits) -> None:
-        super().__init__()
-        self.device, self._loop = device, ServoLoop(device, limits)
+        self.device, self._loop, self._is_closed = device, ServoLoop(device, limits), False
 
     def advance(self, milliseconds: int, state: "np.ndarray") -> None:
         if self._is_closed:
-            raise ValueError("the servo is closed")
+            raise ValueError(CLOSED)
         for _ in range(milliseconds):
             self._loop.step(PERIOD)
             self.device.advance(PERIOD, state)
@@ -114,21 +114,23 @@ class InProcessServo(HapticHand):
     def force(self) -> Pair:
         return self._loop.force
 
+    @property
+    def fault(self) -> str | None:
+        return CLOSED if self._is_closed else self._loop.safety.fault
+
+    def push(self, force: Sequence[float], is_held: bool = True) -> None:
+        self._loop.push(float(force[0]), float(force[1]), is_held)
+
     def rest(self) -> None:
         self._loop.rest()
 
     def release(self) -> bool:
         return not self._is_closed and self._loop.safety.release()
 
-    def _push(self, x: float, y: float, is_held: bool) -> None:
-        self._loop.push(x, y, is_held)
-
-    def _fault(self) -> str | None:
-        return self._loop.safety.fault
-
-    def _close(self) -> None:
-        self._loop.force = NO_FORCE
-        self.device.close()
+    def close(self) -> None:
+        if not self._is_closed:
+            self._is_closed, self._loop.force = True, NO_FORCE
+            self.device.close()
 
 
 def message_of(error: Exception) -> str:

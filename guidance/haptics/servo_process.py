@@ -10,7 +10,7 @@ import os
 import signal
 import sys
 import types
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from importlib import import_module
 from multiprocessing.connection import Connection
@@ -18,7 +18,7 @@ from time import monotonic, perf_counter, sleep
 from typing import Any, NamedTuple
 
 from guidance.haptics.devices import Device, DeviceError, Pair
-from guidance.haptics.hand import HapticHand
+from guidance.haptics.hand import CLOSED, HapticHand
 from guidance.haptics.safety import NO_FORCE, SafetyLimits
 from guidance.haptics.servo import PERIOD, ServoLoop, message_of
 from guidance.haptics.shared_record import SharedRecord
@@ -80,11 +80,11 @@ class ServoProcess(HapticHand):
     """
 
     def __init__(self, open_device: DeviceFactory, limits: SafetyLimits) -> None:
-        super().__init__()
         context = multiprocessing.get_context("spawn")
         self._requests = SharedRecord(REQUEST_LAYOUT, context, *Request())
         self._reports = SharedRecord(REPORT_LAYOUT, context, *Report())
         self._request, self._report, self._report_time = Request(), Report(), monotonic()
+        self._is_closed = False
         ours, theirs = context.Pipe(duplex=False)
         arguments = open_device, limits, self._requests, self._reports, theirs
         self._process = context.Process(target=_serve, args=arguments, daemon=True, name="servo")
@@ -141,7 +141,10 @@ class ServoProcess(HapticHand):
         """Number of steps of the servo so far."""
         return self._read().steps
 
-    def _fault(self) -> str | None:
+    @property
+    def fault(self) -> str | None:
+        if self._is_closed:
+            return CLOSED
         fault = self._read().fault.rstrip(b"\0").decode("utf-8", "ignore")
         if not self._process.is_alive():
             return f"the servo has ended (exit code {self._process.exitcode})"
@@ -150,8 +153,8 @@ class ServoProcess(HapticHand):
             return f"the servo hangs: no step for {silence:.2f} s"
         return fault or None
 
-    def _push(self, x: float, y: float, is_held: bool) -> None:
-        self._send(pushes=self._request.pushes + 1, x=x, y=y, is_held=is_held)
+    def push(self, force: Sequence[float], is_held: bool = True) -> None:
+        self._send(pushes=self._request.pushes + 1, x=force[0], y=force[1], is_held=is_held)
 
     def rest(self) -> None:
         self._request = self._request._replace(rests=self._request.rests + 1)
@@ -164,7 +167,10 @@ class ServoProcess(HapticHand):
             sleep(PERIOD)
         return self._report.releases == self._request.releases and self.fault is None
 
-    def _close(self) -> None:
+    def close(self) -> None:
+        if self._is_closed:
+            return
+        self._is_closed = True
         atexit.unregister(self.close)
         self._send(stop=True)
         self._process.join(END_TIMEOUT)
