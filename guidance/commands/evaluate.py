@@ -61,6 +61,6 @@ def main(cfg: DictConfig) -> None:
     outcomes = group.findings["outcome"]
     if tested := (~outcomes.isin(UNTESTED)).sum():
         note_headline(folder, f"{(outcomes == 'replicated').sum()} of {tested} tested findings")
-    print(screen_table(trials, declared=group.declared))
+    print(screen_table(group))
     print("" if facts["frozen"] else "\nNOT the frozen study: its configuration, models or seed differ; exploratory.")
     print(f"report: {folder / 'report.html'}")

@@ -36,7 +36,7 @@ def main(cfg: DictConfig) -> None:
             files = ", ".join(file for file, digest in _files(beside).items() if digest in same)
             raise ValueError(f"beside = {cfg.beside} has the same games as runs = {cfg.runs}: {files}")
     write_report(group.trials, folder, group.manifest, beside)
-    print(screen_table(group.trials, group.people, group.declared))
+    print(screen_table(group))
     counts = count_findings(group.comparison)
     everything, others = counts.loc["all"], counts.loc["none"]
     print(f"\n{everything.replicated} of the paper's 38 findings replicate ({everything.tested} tested),", end=" ")

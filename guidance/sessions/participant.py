@@ -4,17 +4,28 @@ import hashlib
 import re
 from collections.abc import Mapping
 from datetime import UTC, datetime
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any, Protocol
 
 from airhockey_marl.experiment.files import load_json
 from guidance.sessions.game import Game, load_games
 from guidance.sessions.json_files import save_json
 from guidance.sessions.recording import Columns, Recording, recover_games
 
-if TYPE_CHECKING:
-    from guidance.sessions.bids import Records
-
 NOT_LABELS = ("na", "nan", "null", "none")  # which programs read as a missing value
+
+
+class Study(Protocol):
+    """The part of `guidance.sessions.bids.Records` that a participant uses."""
+
+    folder: Path
+    places: dict[str, int]
+
+    def require_no_game(self) -> None: ...
+
+    def set_active(self, recording: Recording) -> Recording: ...
+
+    def save_trials(self) -> None: ...
 
 
 class Participant:
@@ -27,7 +38,7 @@ class Participant:
         games: name -> complete game, including `UNSCORED`, ordered by position.
     """
 
-    def __init__(self, study: "Records", label: str) -> None:
+    def __init__(self, study: Study, label: str) -> None:
         self._study, self.label, self.place = study, label, study.places[label]
         self._folder = study.folder / f"sub-{label}"
         recover_games(self._folder / "beh")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
 from math import ceil
 from typing import TYPE_CHECKING
 
@@ -22,7 +21,8 @@ from airhockey_marl.experiment.plotting import (
     new_figure,
 )
 from guidance.forces.condition_specs import ConditionSpec
-from guidance.statistics.design import BEYOND, METRICS, Metric, conditions_of
+from guidance.statistics.design import BEYOND, METRICS, Metric
+from guidance.statistics.groups import Group, conditions_of_both, confidence_half_width, names_of
 from guidance.statistics.paper import EVIDENCE
 
 if TYPE_CHECKING:
@@ -34,14 +34,6 @@ SCALE = (1, 7)  # of the ratings
 SIDES = ((BLUE, "o", -0.16), (YELLOW, "D", 0.16))  # color, marker and shift of two groups side by side
 
 
-def confidence_half_width(scores: pd.DataFrame) -> pd.Series:
-    """Half the width of the 95 % confidence interval of each column's mean, by Student's t; NaN below two values."""
-    from scipy.stats import t
-
-    n = scores.count()
-    return scores.sem() * t.isf(0.025, (n - 1).where(n > 1))
-
-
 def color_of(condition: ConditionSpec) -> str:
     """The color of a condition's bars, by its type of guidance unless it has its own."""
     return condition.color or COLORS[condition.type]
@@ -50,18 +42,8 @@ def color_of(condition: ConditionSpec) -> str:
 LEGEND_ENTRY = 0.4, 0.065  # in, about the width of an entry of Figure 6 without its label, and of a character
 
 
-def figure6(
-    trials: pd.DataFrame,
-    withdrawn: Collection[str] = (),
-    people: bool = False,
-    declared: Mapping[str, ConditionSpec] | None = None,
-) -> Figure:
-    """Draw the paper's Figure 6 (section 5).
-
-    Args:
-        trials: one row per participant and condition; any subset of the nine conditions, and others.
-        withdrawn: metrics whose panels are marked as withdrawn.
-        people: the ratings are of people; otherwise their panels are marked as proxies.
+def figure6(group: Group) -> Figure:
+    """Draw the paper's Figure 6 (section 5) of a group, whose trials may be of any subset of the conditions.
 
     Returns:
         Eight panels, objective metrics above, ratings or their proxies below; a bar per condition in the color of its
@@ -70,12 +52,12 @@ def figure6(
     """
     from matplotlib.patches import Patch
 
-    present = conditions_of(trials, declared)
+    present = group.conditions
     figure = new_figure(13.5, 6.6)
     panels = figure.subplots(2, 4).flat
     for axes, (name, metric) in zip(panels, METRICS.items(), strict=True):
-        scores = trials.pivot(index="user", columns="condition", values=name)[list(present)]
-        _draw_bars(axes, scores, list(present.values()), metric, name in withdrawn, people)
+        scores = group.trials.pivot(index="user", columns="condition", values=name)[list(present)]
+        _draw_bars(axes, scores, list(present.values()), metric, name in group.withdrawn, group.people)
     legend = [Patch(color=color_of(c), label=f"({c.letter}) {c.label}") for c in present.values()]
     style = {"frameon": False, "fontsize": 8.5, "handlelength": 1.1, "columnspacing": 1.4, "handletextpad": 0.5}
     inches = sum(LEGEND_ENTRY[0] + LEGEND_ENTRY[1] * len(patch.get_label()) for patch in legend)
@@ -118,31 +100,29 @@ def _clip_scale(axes: Axes, metric: Metric) -> None:
     axes.set_ylim(max(low, 0.0), min(high, 1.02) if metric.unit.startswith("share") else high)
 
 
-def means_beside(
-    trials: Mapping[str, pd.DataFrame], people: Collection[str], conditions: Mapping[str, ConditionSpec]
-) -> Figure:
+def means_beside(here: Group, beside: Group) -> Figure:
     """Draw two groups side by side.
-
-    Args:
-        trials: of each group by its name, as `figure6` takes them.
-        people: names of the groups of people; the ratings of other groups are marked as proxies.
 
     Returns:
         Eight panels, one per metric, with each group's mean under each condition and its 95 % confidence interval.
     """
+    groups, conditions = (
+        dict(zip(names_of([here, beside]), (here, beside), strict=True)),
+        conditions_of_both(here, beside),
+    )
     figure = new_figure(13.5, 6.2)
     panels = list(figure.subplots(2, 4).flat)
-    proxies = [name for name in trials if name not in people]
-    rating_label = {0: "7-point rating", len(trials): "PROXY of the 7-point rating"}.get(
+    proxies = [name for name, group in groups.items() if not group.people]
+    rating_label = {0: "7-point rating", len(groups): "PROXY of the 7-point rating"}.get(
         len(proxies), f"7-point rating\n(PROXY of {', '.join(proxies)})"
     )
     for axes, (name, metric) in zip(panels, METRICS.items(), strict=True):
-        for (group, group_trials), (color, marker, shift) in zip(trials.items(), SIDES, strict=True):
-            scores = group_trials.pivot(index="user", columns="condition", values=name)
+        for (label, group), (color, marker, shift) in zip(groups.items(), SIDES, strict=True):
+            scores = group.trials.pivot(index="user", columns="condition", values=name)
             scores = scores.reindex(columns=list(conditions))
             mean, half = scores.mean().to_numpy(float), confidence_half_width(scores).to_numpy(float)
             places, known = np.arange(len(conditions)) + shift, np.isfinite(half)
-            axes.plot(places, mean, marker, color=color, markersize=5.5, label=f"{group} (n = {len(scores)})")
+            axes.plot(places, mean, marker, color=color, markersize=5.5, label=f"{label} (n = {len(scores)})")
             axes.errorbar(places[known], mean[known], half[known], fmt="none", ecolor=color, elinewidth=1.2, capsize=2)
         rating = metric.kind == "subjective"
         if rating:

@@ -11,7 +11,6 @@ import pandas as pd
 from airhockey_marl.experiment.files import find_files, load_json, sha256
 from guidance.forces.condition_specs import ConditionSpec
 from guidance.statistics.design import METRICS, Metric, conditions_of, declared_conditions, declared_metrics
-from guidance.statistics.figures import confidence_half_width
 from guidance.statistics.paper import compare_with_paper
 from guidance.statistics.tests import check_trials, run_tests
 
@@ -108,6 +107,14 @@ def of_people(manifest: Mapping[str, Any]) -> bool:
     if kind not in ("people", "simulated"):
         raise ValueError(f"manifest: participants = {kind!r} must be people or simulated")
     return kind == "people"
+
+
+def confidence_half_width(scores: pd.DataFrame) -> pd.Series:
+    """Half the width of the 95 % confidence interval of each column's mean, by Student's t; NaN below two values."""
+    from scipy.stats import t
+
+    n = scores.count()
+    return scores.sem() * t.isf(0.025, (n - 1).where(n > 1))
 
 
 def names_of(groups: Sequence[Group]) -> list[str]:

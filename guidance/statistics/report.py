@@ -21,10 +21,9 @@ from guidance.statistics.design import (
     FAMILIES,
     FEWEST_PARTICIPANTS,
     METRICS,
-    conditions_of,
 )
 from guidance.statistics.figures import figure6, means_beside
-from guidance.statistics.groups import UNTESTED, Group, conditions_of_both, names_of, side_by_side
+from guidance.statistics.groups import UNTESTED, Group, side_by_side
 from guidance.statistics.paper import EVIDENCE, EVIDENCE_OF_PEOPLE, count_findings, published_results, reference_points
 from guidance.statistics.research_questions import QUESTIONS, answer_questions
 from guidance.statistics.tests import missing_games
@@ -59,24 +58,20 @@ def write_report(
     folder, group = Path(folder), Group(trials, manifest)
     with atomic_write(folder / "tests.csv") as path:
         group.tests.to_csv(path, index=False)
-    svg = save_figure(
-        lambda: figure6(trials, group.withdrawn, group.people, group.declared), folder, "figure6", dpi=150
-    )
+    svg = save_figure(lambda: figure6(group), folder, "figure6", dpi=150)
     comparison = {} if beside is None else _beside(group, beside, folder)
     write_text(folder / "report.html", _page(group, svg, {"beside": None} | comparison))
     return group
 
 
-def screen_table(
-    trials: pd.DataFrame, people: bool = False, declared: Mapping[str, ConditionSpec] | None = None
-) -> str:
+def screen_table(group: Group) -> str:
     """The means of the eight metrics per condition as aligned text, 97 characters wide, for a terminal."""
-    ratings = "7-point ratings" if people else "PROXY of the 7-point ratings"
-    means = trials.groupby("condition")[list(METRICS)].mean()
+    ratings = "7-point ratings" if group.people else "PROXY of the 7-point ratings"
+    means = group.trials.groupby("condition")[list(METRICS)].mean()
     width, gap = 22, 9
     lines = [f"{'':{width + 4 * gap}} | {ratings:^{4 * gap}}"]
     cells = [("condition", [f"{name:>{gap}}" for name in SHORT_METRICS])]
-    for name, condition in conditions_of(trials, declared).items():
+    for name, condition in group.conditions.items():
         values = ["–" if np.isnan(value) else f"{value:.2f}" for value in means.loc[name]]
         cells.append((f"({condition.letter}) {condition.label}", [f"{value:>{gap}}" for value in values]))
     lines += [f"{label:{width}}{''.join(row[:4])} | {''.join(row[4:])}" for label, row in cells]
@@ -85,10 +80,7 @@ def screen_table(
 
 def _beside(here: Group, beside: Group, folder: Path) -> dict[str, Any]:
     """Draw two groups side by side, and return the variables of their section of the page."""
-    names = names_of([here, beside])
-    trials = dict(zip(names, (here.trials, beside.trials), strict=True))
-    people = [name for name, group in zip(names, (here, beside), strict=True) if group.people]
-    svg = save_figure(lambda: means_beside(trials, people, conditions_of_both(here, beside)), folder, "beside", dpi=130)
+    svg = save_figure(lambda: means_beside(here, beside), folder, "beside", dpi=130)
     return {
         "beside": side_by_side(here, beside),
         "beside_figure": base64.b64encode(svg).decode("ascii"),

@@ -60,7 +60,7 @@ def log_study(cfg: DictConfig, folder: Path, group: Group, histograms: Histogram
             x = 1 + ascii_lowercase.index(condition.letter)  # a tag per condition: a joint curve would be smoothed
             for metric, mean in means.loc[name].dropna().items():
                 writer.add_scalar(f"study/{metric}/{name}", mean, x)
-        writer.add_text("means", code_block(screen_table(group.trials, declared=group.declared)))
+        writer.add_text("means", code_block(screen_table(group)))
         histograms.log(writer)
         add_picture(writer, "figure/figure6", (folder / "figure6.png").read_bytes(), 0)
     scores = {metric: means[metric].mean() for metric in ("win_rate", "mean_smash_speed", "defense_rate")}

@@ -16,8 +16,8 @@ from scipy import stats as scipy_stats
 
 from airhockey_marl.experiment.files import find_files
 from guidance.statistics.design import CONDITIONS, METRICS
-from guidance.statistics.figures import COLORS, confidence_half_width, figure6, means_beside
-from guidance.statistics.groups import Group, conditions_of_both, gather, merge, side_by_side
+from guidance.statistics.figures import COLORS, figure6, means_beside
+from guidance.statistics.groups import Group, confidence_half_width, gather, merge, side_by_side
 from guidance.statistics.paper import compare_with_paper, count_findings, published_results
 from guidance.statistics.report import screen_table, write_report
 from guidance.statistics.research_questions import answer_questions
@@ -187,7 +187,7 @@ def test_too_few_participants(tmp_path):
 
 
 def test_figure_draws_means_and_intervals(trials):
-    figure = figure6(trials)
+    figure = figure6(Group(trials, {}))
     assert [axes.get_title() for axes in figure.axes] == [
         label + (" (PROXY)" if label in SUBJECTIVE else "") for label in (metric.label for metric in METRICS.values())
     ]
@@ -202,7 +202,7 @@ def test_figure_draws_means_and_intervals(trials):
 
 
 def test_figure_without_any_value_has_no_scale(trials):
-    figure = figure6(trials[trials["condition"] == "nhg"])
+    figure = figure6(Group(trials[trials["condition"] == "nhg"], {}))
     scaled = [len(axes.get_yticks()) > 0 for axes in figure.axes]
     assert scaled == [metric != "mean_disagreement" for metric in METRICS]
 
@@ -244,7 +244,7 @@ def test_answers_without_findings():
 
 
 def test_screen_table_is_aligned(trials):
-    lines = screen_table(trials).splitlines()
+    lines = screen_table(Group(trials, {})).splitlines()
     assert len(lines) == 11
     assert {len(line) for line in lines} == {97}
     assert "PROXY" in lines[0]
@@ -252,7 +252,7 @@ def test_screen_table_is_aligned(trials):
     means = trials[trials["condition"] == "nhg"][list(METRICS)].mean()
     assert nhg[:2] == ["(a)", "NHG"]
     assert nhg[2:] == ["–" if np.isnan(mean) else f"{mean:.2f}" for mean in means]
-    assert len(screen_table(trials[trials["condition"] == "uphg"]).splitlines()) == 3
+    assert len(screen_table(Group(trials[trials["condition"] == "uphg"], {})).splitlines()) == 3
 
 
 @pytest.fixture
@@ -383,8 +383,8 @@ def test_conditions_beyond_the_paper_have_a_section_and_a_bar(trials, tmp_path):
     text = text_of(page)
     assert "Beyond the paper (j) <mine> is not a condition of the paper." in text and "<mine>" not in page
     assert "Win rate (j) <mine> > (a) NHG" in text
-    assert len(figure6(everything).axes[0].patches) == 10
-    assert "(j) <mine>" in screen_table(everything, declared=group.declared)
+    assert len(figure6(group).axes[0].patches) == 10
+    assert "(j) <mine>" in screen_table(group)
     with pytest.raises(ValueError, match=r"condition\.name = '<mine>' must be a word"):
         write_report(everything.replace({"condition": {"mine": "<mine>"}}), tmp_path, {})
 
@@ -419,8 +419,8 @@ def test_what_people_say_is_a_rating(trials, tmp_path):
     assert "Interim" not in text and "Unfinished" not in text and "Not tested" not in text
     svg = (tmp_path / "people" / "figure6.svg").read_text()
     assert "PROXY" not in svg and "PROXY" in (tmp_path / "simulated" / "figure6.svg").read_text()
-    assert "PROXY" not in screen_table(trials, people=True)
-    assert {len(line) for line in screen_table(trials, people=True).splitlines()} == {97}
+    assert "PROXY" not in screen_table(Group(trials, {"participants": "people"}))
+    assert {len(line) for line in screen_table(Group(trials, {"participants": "people"})).splitlines()} == {97}
     withdrawn = count_findings(compare_with_paper(tests, ["comfort"])).loc["all", "tested"]
     assert withdrawn < 38 and "comparisons among" not in text  # all 38 count
 
@@ -556,7 +556,7 @@ def test_groups_of_a_kind_are_told_apart(trials, tmp_path):
 
 def test_figure_of_two_groups_draws_both_means(groups):
     people, simulated = groups
-    figure = means_beside({"people": people.trials, "simulated people": simulated.trials}, ["people"], CONDITIONS)
+    figure = means_beside(people, simulated)
     for axes, metric in zip(figure.axes, METRICS, strict=True):
         lines = [line for line in axes.lines if not str(line.get_label()).startswith("_")]
         assert [line.get_label() for line in lines] == ["people (n = 5)", "simulated people (n = 20)"]
@@ -573,7 +573,7 @@ def test_conditions_of_one_group_only_have_one_letter_in_both(trials):
     rows = {row["label"]: row for row in side_by_side(*groups)["means"]}
     assert (rows["mine"]["letter"], rows["yours"]["letter"]) == ("j", "k")
     assert [cell["n"] for cell in rows["yours"]["cells"]] == [0, 20]
-    figure = means_beside({"a": groups[0].trials, "b": groups[1].trials}, [], conditions_of_both(*groups))
+    figure = means_beside(*groups)
     assert len(figure.axes[0].get_xticks()) == 11
 
 
@@ -633,9 +633,9 @@ def test_declared_conditions_keep_letter_label_and_color(declared_trials, tmp_pa
     write_report(declared_trials, tmp_path, DECLARED)
     text = text_of(page_of(tmp_path))
     assert "(q) My own is not a condition of the paper." in text and "mine" not in text[: text.index("Provenance")]
-    declared = Group(declared_trials, DECLARED).declared
-    assert "(q) My own" in screen_table(declared_trials, declared=declared)
-    bars = figure6(declared_trials, declared=declared).axes[0].containers[0]
+    group = Group(declared_trials, DECLARED)
+    assert "(q) My own" in screen_table(group)
+    bars = figure6(group).axes[0].containers[0]
     assert [bar.get_facecolor() for bar in bars][-1] == to_rgba("#123456")
 
 
