@@ -25,13 +25,11 @@ class Simulated:
 
     @property
     def position(self) -> Pair:
-        x, y = self.users.hand[0]
-        return float(x), float(y)
+        return tuple(self.users.hand[0].tolist())
 
     @property
     def velocity(self) -> Pair:
-        x, y = self.users.hand_velocity[0]
-        return float(x), float(y)
+        return tuple(self.users.hand_velocity[0].tolist())
 
     def set_force(self, force: Pair) -> None:
         self._force = (float(force[0]), float(force[1]))
