@@ -1,1 +1,1 @@
-"""The forces and the meta-learning of this package on another task than air hockey."""
+"""The forces and the meta-learning of this package on other tasks than air hockey."""

@@ -16,10 +16,12 @@ that ``torch.vmap`` runs over, so the adapted parameters of nine users are one T
     adapted = adapt_stacked(params, loss, demo, lr=0.1)  # (users,)
     forward_stacked(model, adapted, observation)  # (users, ticks, 12) -> (users, ticks, 2)
 
+:class:`MAML` offers the same step as two verbs, clone and adapt, for loops over users in the manner of learn2learn.
 
 Source: section 3.2.3 of the paper; Finn, Abbeel and Levine, ICML 2017.
 """
 
+import copy
 import math
 from collections.abc import Callable
 from functools import partial
@@ -89,16 +91,11 @@ def adapt(params: TensorDict, loss: Loss, lr: float, steps: int = 1, first_order
     Raises:
         ValueError: ``lr`` or ``steps`` out of range.
     """
-    if not 0 < lr < math.inf:
-        raise ValueError(f"lr: {lr}, must be positive and finite")
+    _require_rate(lr)
     if not isinstance(steps, int) or steps < 1:
         raise ValueError(f"steps: {steps}, must be a whole number of at least 1")
     for _ in range(steps):
-        gradient = grad(loss)(params)
-        if first_order:
-            gradient = gradient.detach()
-        # Leaf by leaf: arithmetic on whole TensorDicts does not pass through vmap.
-        params = params.apply(lambda p, g: p - lr * g, gradient)
+        params = _descend(params, grad(loss)(params), lr, first_order)
     return params
 
 
@@ -136,3 +133,63 @@ def meta_loss(
         lr, steps, first_order: see :func:`adapt`.
     """
     return torch.vmap(loss)(adapt_stacked(params, loss, demo, lr, steps, first_order), valid).sum()
+
+
+class MAML:
+    """A model that learns to adapt, with the two verbs of learn2learn: ``clone`` and ``adapt``.
+
+    ::
+
+        maml, optimizer = MAML(model, lr=0.1), Adam(model.parameters())
+        for demo, valid in users:
+            learner = maml.clone()
+            learner.adapt(loss(learner(demo.x), demo.y))
+            loss(learner(valid.x), valid.y).backward()
+        optimizer.step()
+
+    ``meta_loss`` computes the same for all users at once.
+
+    Attributes:
+        model: the module; never changed by adaptation.
+        params: the parameters this learner uses, at first those of the model.
+    """
+
+    def __init__(self, model: nn.Module, lr: float, first_order: bool = False):
+        _require_rate(lr)
+        self.model, self.lr, self.first_order = model, lr, first_order
+        self.params = parameters(model)
+
+    def clone(self) -> "MAML":
+        """A learner that starts from these parameters; its adaptation does not change this one."""
+        return copy.copy(self)  # a shallow copy suffices: adapt replaces params and never writes into them
+
+    def adapt(self, loss: Tensor) -> None:
+        """One gradient step (Eq. 1) on a scalar loss computed with this learner.
+
+        Raises:
+            ValueError: ``loss`` is not a scalar with a gradient.
+        """
+        if not isinstance(loss, Tensor) or loss.ndim or not loss.requires_grad:
+            got = f"shape {tuple(loss.shape)}" if isinstance(loss, Tensor) else type(loss).__name__
+            raise ValueError(f"loss: {got}, must be a scalar that requires grad")
+        names = list(self.params.keys(include_nested=True, leaves_only=True))
+        leaves = [self.params[name] for name in names]
+        gradients = torch.autograd.grad(loss, leaves, create_graph=not self.first_order, materialize_grads=True)
+        gradient = TensorDict(dict(zip(names, gradients, strict=True)))
+        self.params = _descend(self.params, gradient, self.lr, self.first_order)
+
+    def __call__(self, *inputs: Tensor) -> Any:
+        """The model with the parameters of this learner."""
+        return forward(self.model, self.params, *inputs)
+
+
+def _descend(params: TensorDict, gradient: TensorDict, lr: float, first_order: bool) -> TensorDict:
+    if first_order:
+        gradient = gradient.detach()
+    # Leaf by leaf: arithmetic on whole TensorDicts does not pass through vmap.
+    return params.apply(lambda p, g: p - lr * g, gradient)
+
+
+def _require_rate(lr: float) -> None:
+    if not 0 < lr < math.inf:
+        raise ValueError(f"lr: {lr}, must be positive and finite")

@@ -1,6 +1,8 @@
 """Eq. 1 and 2 against arithmetic by hand, other implementations and finite differences; and MAML's sinusoids."""
 
 import math
+import re
+import sys
 from functools import partial
 
 import pytest
@@ -8,10 +10,11 @@ import torch
 from tensordict import TensorDict
 from torch import nn
 from torch.func import functional_call, grad
-from torch.nn.functional import linear, mse_loss
+from torch.nn.functional import linear
 from torch.testing import assert_close
 
-from guidance.user_model.maml import adapt, adapt_stacked, forward, forward_stacked, meta_loss, parameters
+from guidance.examples.sinusoid import errors_after, main, network, train
+from guidance.user_model.maml import MAML, adapt, adapt_stacked, forward, forward_stacked, meta_loss, parameters
 
 LR = 0.1
 exact = partial(assert_close, rtol=1e-12, atol=1e-12)
@@ -211,6 +214,8 @@ def test_adaptation_does_not_touch_the_model(model, loss):
     demo = users(2, seed=9)
     adapted = adapt_stacked(parameters(model), loss, demo, LR, steps=2)
     forward_stacked(model, adapted, demo[0])
+    learner = MAML(model, LR).clone()
+    learner.adapt(error(learner(demo[0]), demo[1]))
     assert unchanged(model, before)
 
 
@@ -256,56 +261,79 @@ def test_a_part_of_the_parameters_adapts_alone(model, loss):
     exact(adapted["head", "weight"], whole["head", "weight"])
 
 
+# clone and adapt
+
+
+@orders
+@step_counts
+def test_clone_and_adapt_is_the_meta_loss(model, loss, steps, first_order):
+    demo, valid = users(3, seed=11), users(3, seed=12)
+    maml, total = MAML(model, LR, first_order), 0.0
+    for i in range(3):
+        learner = maml.clone()
+        for _ in range(steps):
+            learner.adapt(error(learner(demo[0][i]), demo[1][i]))
+        total = total + error(learner(valid[0][i]), valid[1][i])
+    expected = meta_loss(parameters(model), loss, demo, valid, LR, steps, first_order)
+    exact(total, expected)
+    exact(gradients(total, model), gradients(expected, model))
+
+
+def test_clones_are_independent(model):
+    (x, y), maml = users(1, seed=13), MAML(model, LR)
+    first, second = maml.clone(), maml.clone()
+    first.adapt(error(first(x), y))
+    grandchild = first.clone()
+    exact(grandchild(x), first(x))
+    exact(second(x), model(x))
+    exact(maml(x), model(x))
+    assert not torch.allclose(first(x)[0], model(x)[0])
+
+
+def test_a_parameter_the_loss_ignores_keeps_its_value(model):
+    learner = MAML(model, LR).clone()
+    learner.adapt(learner.params["head", "bias"].square().sum())
+    exact(learner.params["head", "weight"], model.head.weight)
+    exact(learner.params["head", "bias"], (1 - 2 * LR) * model.head.bias)
+
+
 # what is refused
 
 
 @pytest.mark.parametrize("lr", [0.0, -0.1, math.inf, math.nan])
-def test_bad_rates_are_refused(lr):
+def test_bad_rates_are_refused(model, lr):
     with pytest.raises(ValueError, match=r"^lr: .*must be positive and finite"):
         adapt(scalar(1.0), quadratic(3.0), lr)
+    with pytest.raises(ValueError, match=r"^lr: .*must be positive and finite"):
+        MAML(model, lr)
 
 
-def test_bad_input_is_refused_by_name():
+def test_bad_input_is_refused_by_name(model):
     with pytest.raises(ValueError, match=r"^steps: 0, must"):
         adapt(scalar(1.0), quadratic(3.0), 0.1, steps=0)
-
-
-# the sinusoids of Finn et al. (2017, section 5.1): y = a sin(x - b) from ten points
-
-POINTS, CURVES, INNER_LR = 10, 25, 0.01
-
-
-def sinusoids(curves, generator, valid=POINTS):
-    """D_demo and D_valid, x and y (curves, n, 1) each, with a in [0.1, 5], b in [0, pi] and x in [-5, 5]."""
-    amplitude = 0.1 + 4.9 * torch.rand(curves, 1, 1, generator=generator)
-    phase = math.pi * torch.rand(curves, 1, 1, generator=generator)
-    xs = [10 * torch.rand(curves, n, 1, generator=generator) - 5 for n in (POINTS, valid)]
-    return [(x, amplitude * torch.sin(x - phase)) for x in xs]
+    with pytest.raises(ValueError, match=r"^loss: .*must be a scalar"):
+        MAML(model, LR).adapt(torch.zeros(2, requires_grad=True))
+    with pytest.raises(ValueError, match=r"^loss: .*that requires grad"):
+        MAML(model, LR).adapt(torch.tensor(1.0))
 
 
 def learn_sinusoids(meta_steps):
-    """The mean squared error on unseen curves before and after one step of adaptation."""
+    """The error before and after one step of adaptation."""
     torch.manual_seed(0)
-    net = nn.Sequential(nn.Linear(1, 40), nn.ReLU(), nn.Linear(40, 40), nn.ReLU(), nn.Linear(40, 1))
-    params, optimizer = parameters(net), torch.optim.Adam(net.parameters(), 0.001)
-
-    def loss(theta, data):
-        return mse_loss(forward(net, theta, data[0]), data[1])
-
-    generator = torch.Generator().manual_seed(1)
-    for _ in range(meta_steps):
-        optimizer.zero_grad()
-        meta_loss(params, loss, *sinusoids(CURVES, generator), INNER_LR).backward()
-        optimizer.step()
-    with torch.no_grad():
-        demo, valid = sinusoids(600, torch.Generator().manual_seed(2), 100)
-        both = params.expand(600), adapt_stacked(params, loss, demo, INNER_LR)
-        return [torch.vmap(loss)(theta, valid).mean().item() for theta in both]
+    model = network()
+    train(model, meta_steps, torch.Generator().manual_seed(1))
+    return errors_after(model, [0, 1]).values()
 
 
 def test_sinusoids_begin_to_be_learnt():
     before, after = learn_sinusoids(500)  # measured: 2.96 before, 1.93 after
     assert after < 0.75 * before
+
+
+def test_the_example_prints_its_errors(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["sinusoid", "3"])
+    main()
+    assert re.fullmatch(r"(after [ \d]\d steps: \d+\.\d\d\n){5}", capsys.readouterr().out)
 
 
 @pytest.mark.slow
