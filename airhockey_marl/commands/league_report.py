@@ -26,7 +26,7 @@ def check(cfg: DictConfig) -> None:
 
 def main(cfg: DictConfig) -> None:
     """Measure the league and write its report."""
-    from airhockey_marl.evaluation.league_metrics import EvaluationBudget, check_league
+    from airhockey_marl.evaluation.league_metrics import EvaluationConfig, check_league, evaluate_league
     from airhockey_marl.evaluation.league_report import LAYOUT, TAGS, log_to_tensorboard, summary, write_report
     from airhockey_marl.evaluation.matches import FRAME_SKIP
     from airhockey_marl.evaluation.ratings import read_matches
@@ -42,16 +42,17 @@ def main(cfg: DictConfig) -> None:
         card = read_card(run / "card.json", league.hashes)
         if cfg.exploit_generations and "config" not in card:
             raise InputError(f"exploit_generations = {cfg.exploit_generations} needs a finished run: {run} has no card")
-    folder, progress = output_folder(cfg), ProgressBar()
-    budget = EvaluationBudget(cfg.every, cfg.rounds, cfg.match_rounds, cfg.save_tables, cfg.std_tables, cfg.std_seconds)
+    folder, progress, responses = output_folder(cfg), ProgressBar(), None
     training = OmegaConf.create(card.get("config", {}))
-    ticks = OmegaConf.select(training, "env.frame_skip", default=FRAME_SKIP)
-    responses = None
+    sizes = cfg.every, cfg.rounds, cfg.match_rounds, cfg.save_tables, cfg.std_tables, cfg.std_seconds
+    frame_skip = OmegaConf.select(training, "env.frame_skip", default=FRAME_SKIP)
+    config = EvaluationConfig(*sizes, cfg.seed, frame_skip)
     if cfg.exploit_generations:
         last, rounds = len(league) - 1, cfg.match_rounds
         responses = best_response(training, league, last, cfg.exploit_generations, rounds, cfg.seed, progress)
-    metrics = write_report(folder, league, matches, card, budget, cfg.seed, responses, ticks, progress)
+    metrics = evaluate_league(league, matches, config, responses, progress)
     progress.close()
+    write_report(folder, league, matches, card, config, metrics)
     with open_writer(tensorboard_dir(folder)) as writer:
         log_run_header(writer, cfg, TAGS, LAYOUT)
         log_to_tensorboard(writer, folder, metrics, card.get("steps", metrics.last))

@@ -143,6 +143,7 @@ class World:
     Args:
         n: number of tables.
         table: sizes and limits of all tables; `TableSpec()` by default.
+        seed: see the method `seed`.
 
     Attributes:
         table: the `TableSpec`.
@@ -156,7 +157,7 @@ class World:
 
     PARALLEL_FROM = 256  # tables; below, starting the threads costs more than they save
 
-    def __init__(self, n: int, table: TableSpec | None = None) -> None:
+    def __init__(self, n: int, table: TableSpec | None = None, seed: int = 0) -> None:
         if not isinstance(n, Integral) or isinstance(n, bool) or n < 1:
             raise ValueError(f"tables = {n!r} must be at least 1")
         self.n, self.table = n, check_table(table or TableSpec())
@@ -168,7 +169,7 @@ class World:
         self.goals = np.zeros(n, dtype=np.int64)
         self.touched = np.zeros(n, dtype=np.int64)
         self.served = np.zeros(n, dtype=np.bool_)
-        self.seed(0)
+        self.seed(seed)
 
     def seed(self, seed: int) -> None:
         """Seed the random numbers: table i gets `seed` + i, as in vector environments."""

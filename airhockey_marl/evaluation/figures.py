@@ -260,8 +260,7 @@ def film(
         stochastic(league.opponent_batch([member]), torch.Generator().manual_seed(seed + seat))
         for seat, member in enumerate(members)
     )
-    world = World(1)
-    world.seed(seed)
+    world = World(1, seed=seed)
     world.new_rounds()
     between, palette = frame_skip * world.table.tick, None
     steps = rollout(world, (left, right), frame_skip, round_steps(ROUND_SECONDS, world.table, frame_skip))

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import torch
 
-from airhockey_marl.evaluation.matches import FRAME_SKIP, RESULT_COLUMNS, MatchResult
+from airhockey_marl.evaluation.matches import RESULT_COLUMNS, MatchResult
 from airhockey_marl.evaluation.policy_std import record_trajectories, smoothness, std_by_situation, std_map
 from airhockey_marl.evaluation.ratings import (
     GoodnessOfFit,
@@ -20,7 +20,6 @@ from airhockey_marl.evaluation.ratings import (
     payoff,
     play_pairs,
     rating_differences,
-    ratings_of_matches,
     ratings_table,
     wins_of_matches,
 )
@@ -46,8 +45,8 @@ class RandomStream(IntEnum):
 
 
 @dataclass(frozen=True)
-class EvaluationBudget:
-    """The amount of play for a report.
+class EvaluationConfig:
+    """The amount of play for a report, and how it is played.
 
     Attributes:
         every: of the generations, every so many are in the payoff matrix, beside the benchmark generations, the last
@@ -56,6 +55,8 @@ class EvaluationBudget:
         match_rounds: of the last generation against each benchmark generation and the strongest script.
         save_tables: where saves are counted, for `SAVES_ROUND_SECONDS` each, for the last generation and the script.
         std_tables, std_seconds: tables where the STD is measured, and seconds of play at each.
+        seed: of all random numbers.
+        frame_skip: ticks for which an action is held, as in the league's training.
     """
 
     every: int
@@ -64,6 +65,8 @@ class EvaluationBudget:
     save_tables: int
     std_tables: int
     std_seconds: float
+    seed: int
+    frame_skip: int
 
 
 class Regressions(NamedTuple):
@@ -160,7 +163,7 @@ def benchmark_generations(last: int) -> list[int]:
 
 
 def payoff_players(generations: int, every: int) -> list[PlayerId]:
-    """The players in the payoff matrix of a league with so many generations; see `EvaluationBudget.every`."""
+    """The players in the payoff matrix of a league with so many generations; see `EvaluationConfig.every`."""
     last = generations - 1
     chosen = {*range(0, generations, every), *benchmark_generations(last), last}
     return [*sorted(chosen | ({REGRESSION_REFERENCE} if last > REGRESSION_FROM else set())), *REFERENCE_PLAYERS]
@@ -177,49 +180,46 @@ def check_league(league: League, matches: pd.DataFrame | None) -> None:
 def evaluate_league(
     league: League,
     matches: pd.DataFrame | None,
-    budget: EvaluationBudget,
-    seed: int,
+    config: EvaluationConfig,
     best_response: Sequence[tuple[int, MatchResult]] | None = None,
-    frame_skip: int = FRAME_SKIP,
     progress: Callable[[str, float], None] = lambda phase, fraction: None,
 ) -> LeagueMetrics:
-    """Play all that the metrics need; see `league_report.write_report` for the arguments."""
-    check_league(league, matches)
-    has_matches = matches is not None and not matches.empty
-    last, player_ids, other_seed = len(league) - 1, payoff_players(len(league), budget.every), seed + SEED_OFFSET
-    score = payoff(
-        league, player_ids, budget.rounds, seed, PAYOFF_TABLES, frame_skip, partial(progress, "payoff matrix")
-    )
-    wins, ratings = score[..., 0], ratings_table(player_ids, score[..., 0], 0)
+    """Play all that the metrics need, in a league that `check_league` has accepted.
+
+    Args:
+        matches: of the training, see `ratings.MATCH_COLUMNS`; None if there are none.
+        best_response: results against the last generation after so many steps of training against it only; None if
+            not tried.
+        progress: called with the phase and the fraction of it that is done.
+    """
+    training = wins_of_matches(matches) if matches is not None and not matches.empty else None
+    last, player_ids, seed = len(league) - 1, payoff_players(len(league), config.every), config.seed + SEED_OFFSET
+    frame_skip = {"frame_skip": config.frame_skip}
+    options = frame_skip | {"tables_per_pair": PAYOFF_TABLES, "progress": partial(progress, "payoff matrix")}
+    score = payoff(league, player_ids, config.rounds, config.seed, **options)
+    wins, ratings = score[..., 0], ratings_table(player_ids, score[..., 0])
     rating_of = dict(zip(player_ids, ratings["rating"], strict=True))
     strongest = max(REFERENCE_PLAYERS, key=lambda name: rating_of[name])
     midpoint = min(generations_of(player_ids), key=lambda generation: abs(generation - last / 2))
     opponents = [*benchmark_generations(last), strongest]
     pairs = [(last, opponent) for opponent in opponents]
-    results = play_pairs(
-        league, pairs, budget.match_rounds, other_seed, MATCH_TABLES, frame_skip, partial(progress, "matches")
-    )
+    options = frame_skip | {"tables_per_pair": MATCH_TABLES, "progress": partial(progress, "matches")}
+    results = play_pairs(league, pairs, config.match_rounds, seed, **options)
 
     def player(player_id: PlayerId, stream: RandomStream) -> Player:
-        generator = torch.Generator().manual_seed(other_seed + stream)
-        return stochastic(league.opponent_batch([player_id]), generator)
+        return stochastic(league.opponent_batch([player_id]), torch.Generator().manual_seed(seed + stream))
 
     saves, trajectories = {}, {}
     for done, (name, player_id) in enumerate({"last": last, DEFENDER: DEFENDER}.items()):
         progress("saves", done / 2)
         players = player(player_id, RandomStream.DEFENDING), player(ATTACKER, RandomStream.ATTACKING)
-        counts = count_saves(*players, budget.save_tables, other_seed, SAVES_ROUND_SECONDS, frame_skip)
+        counts = count_saves(*players, config.save_tables, seed, SAVES_ROUND_SECONDS, **frame_skip)
         saves[name] = Proportion.from_counts(counts.blocked, sum(counts))
     for done, (name, player_id) in enumerate({"last": last, strongest: strongest}.items()):
         progress("STD", done / 2)
-        trajectories[name] = record_trajectories(
-            league.opponent_batch([player_id]),
-            player(last, RandomStream.OPPOSING),
-            budget.std_tables,
-            budget.std_seconds,
-            other_seed,
-            frame_skip=frame_skip,
-        )
+        policy, opponent = league.opponent_batch([player_id]), player(last, RandomStream.OPPOSING)
+        sizes = config.std_tables, config.std_seconds
+        trajectories[name] = record_trajectories(policy, opponent, *sizes, seed, **frame_skip)
     return LeagueMetrics(
         player_ids=player_ids,
         score=score,
@@ -228,13 +228,13 @@ def evaluate_league(
         midpoint=midpoint,
         gain_since_midpoint=rating_differences(player_ids, wins, midpoint)[last],
         lead_over_script=rating_differences(player_ids, wins, strongest)[last],
-        training_ratings=ratings_of_matches(matches) if has_matches else None,
+        training_ratings=training and ratings_table(*training),
         win_rates={opponent: _win_rate(*row[:2]) for opponent, row in zip(opponents, results.tolist(), strict=True)},
         strongest_script=strongest,
         regressions=find_regressions(player_ids, wins),
-        training_regressions=find_regressions(*wins_of_matches(matches)) if has_matches else None,
+        training_regressions=training and find_regressions(*training),
         saves=saves,
-        std=std_by_situation(trajectories["last"], other_seed),
+        std=std_by_situation(trajectories["last"], seed),
         std_maps=tuple(std_map(trajectories["last"], approaching) for approaching in (True, False)),
         smoothness={name: smoothness(recorded) for name, recorded in trajectories.items()},
         best_response=best_response

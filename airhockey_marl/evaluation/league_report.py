@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import base64
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -18,15 +18,13 @@ from airhockey_marl.evaluation.league_metrics import (
     DEFENDER,
     REGRESSION_FROM,
     REGRESSION_REFERENCE,
-    EvaluationBudget,
+    EvaluationConfig,
     LeagueMetrics,
-    evaluate_league,
     generations_of,
 )
-from airhockey_marl.evaluation.matches import FRAME_SKIP, MatchResult
 from airhockey_marl.evaluation.policy_std import FAR, SAVE_SECONDS, STRIKE_SECONDS
 from airhockey_marl.evaluation.ratings import Proportion, RatingDifference
-from airhockey_marl.experiment.files import atomic_write, write_json, write_text
+from airhockey_marl.experiment.files import write_bytes, write_json, write_text
 from airhockey_marl.experiment.html import number, template
 from airhockey_marl.experiment.plotting import png_bytes
 from airhockey_marl.experiment.tensorboard import add_picture
@@ -51,43 +49,31 @@ LAYOUT = {
 
 
 def write_report(
-    folder: Path | str,
+    folder: Path,
     league: League,
     matches: pd.DataFrame | None,
     card: Mapping[str, Any],
-    budget: EvaluationBudget,
-    seed: int,
-    best_response: Sequence[tuple[int, MatchResult]] | None = None,
-    frame_skip: int = FRAME_SKIP,
-    progress: Callable[[str, float], None] = lambda phase, fraction: None,
-) -> LeagueMetrics:
-    """Evaluate a league and write league_report.html and .json, payoff.csv, ratings.csv, the figures and match.gif.
+    config: EvaluationConfig,
+    metrics: LeagueMetrics,
+) -> None:
+    """Write league_report.html and .json, payoff.csv, ratings.csv, the figures and match.gif.
 
     Files are replaced atomically. The page embeds its style and pictures and loads nothing. Equal arguments give equal
     bytes.
 
     Args:
-        folder: created if absent.
-        matches: of the training, see `ratings.MATCH_COLUMNS`; None if there are none.
+        matches: as for `evaluate_league`, whose result is `metrics`.
         card: the model card, shown on the page.
-        best_response: results against the last generation after so many steps of training against it only; None if
-            not tried.
-        frame_skip: ticks for which an action is held, as in the training.
-        progress: called with the phase and the fraction of it that is done.
     """
-    folder = Path(folder)
-    metrics = evaluate_league(league, matches, budget, seed, best_response, frame_skip, progress)
-    film = figures.film(league, (metrics.last, metrics.strongest_script), seed, frame_skip=frame_skip)
+    players = metrics.last, metrics.strongest_script
+    film = figures.film(league, players, config.seed, frame_skip=config.frame_skip)
     pictures = draw_figures(metrics, matches) | {"match.gif": film}
     for name, content in pictures.items():
-        with atomic_write(folder / name) as path:
-            path.write_bytes(content)
-    for name, table in (("payoff.csv", metrics.payoff_table()), ("ratings.csv", metrics.ratings_table())):
-        with atomic_write(folder / name) as path:
-            table.to_csv(path, index=False)
-    write_json(folder / "league_report.json", {"seed": seed, "budget": asdict(budget), **metrics.as_dict()})
-    write_text(folder / "league_report.html", page(metrics, pictures, card, budget, seed))
-    return metrics
+        write_bytes(folder / name, content)
+    write_text(folder / "payoff.csv", metrics.payoff_table().to_csv(index=False))
+    write_text(folder / "ratings.csv", metrics.ratings_table().to_csv(index=False))
+    write_json(folder / "league_report.json", {"config": asdict(config), **metrics.as_dict()})
+    write_text(folder / "league_report.html", page(metrics, pictures, card, config))
 
 
 def draw_figures(metrics: LeagueMetrics, matches: pd.DataFrame | None) -> dict[str, bytes]:
@@ -104,7 +90,7 @@ def draw_figures(metrics: LeagueMetrics, matches: pd.DataFrame | None) -> dict[s
     return {name: png_bytes(figure) for name, figure in drawings.items()}
 
 
-def log_to_tensorboard(writer: SummaryWriter, folder: Path | str, metrics: LeagueMetrics, step: int) -> None:
+def log_to_tensorboard(writer: SummaryWriter, folder: Path, metrics: LeagueMetrics, step: int) -> None:
     """Log a report that `write_report` has written to `folder`, with the tags of `TAGS`; NaN and inf are left out.
 
     Args:
@@ -122,7 +108,7 @@ def log_to_tensorboard(writer: SummaryWriter, folder: Path | str, metrics: Leagu
         if np.isfinite(value):
             writer.add_scalar(tag, value, scalar_step)
     for file in ("payoff.png", "rating.png", "precision.png", "match.gif"):
-        add_picture(writer, f"report/{file.partition('.')[0]}", (Path(folder) / file).read_bytes(), step)
+        add_picture(writer, f"report/{file.partition('.')[0]}", (folder / file).read_bytes(), step)
 
 
 class Claim(NamedTuple):
@@ -177,7 +163,7 @@ def outcome(low: float, high: float, threshold: float = 0.0) -> str:
 
 
 def page(
-    metrics: LeagueMetrics, pictures: Mapping[str, bytes], card: Mapping[str, Any], budget: EvaluationBudget, seed: int
+    metrics: LeagueMetrics, pictures: Mapping[str, bytes], card: Mapping[str, Any], config: EvaluationConfig
 ) -> str:
     """The page, from templates/league_report.html; `pictures` by file name."""
     ratings, row_of_last = metrics.ratings.set_index("member"), metrics.player_ids.index(metrics.last)
@@ -215,8 +201,7 @@ def page(
         save_seconds=SAVE_SECONDS,
         strike_seconds=STRIKE_SECONDS,
         far=FAR,
-        budget=asdict(budget),
-        seed=seed,
+        config=asdict(config),
         card=card,
     )
 

@@ -5,7 +5,6 @@ from typing import Any, NamedTuple
 import numpy as np
 import torch
 
-from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.world import World, round_steps
 from airhockey_marl.league.league import OpponentBatch, PlayerId
 from airhockey_marl.players.networks import GaussianPolicy
@@ -41,15 +40,13 @@ def play_rounds(
     seed: int,
     round_seconds: float = 30.0,
     frame_skip: int = FRAME_SKIP,
-    table: TableSpec | None = None,
 ) -> np.ndarray:
     """Play `rounds` successive rounds at each of `tables` tables, each until a goal or for `round_seconds`.
 
     Returns:
         (tables, 3) int: wins of the left player, losses, and draws, as in `MatchResult`.
     """
-    world = World(tables, table)
-    world.seed(seed)
+    world = World(tables, seed=seed)
     world.new_rounds()
     max_steps = round_steps(round_seconds, world.table, frame_skip)
     # columns by the goal: 0 a goal of the left player (+1), 1 none (0), 2 a goal of the right player (-1)

@@ -67,11 +67,9 @@ def record_trajectories(
     seed: int,
     round_seconds: float = 30.0,
     frame_skip: int = FRAME_SKIP,
-    table: TableSpec | None = None,
 ) -> Trajectories:
     """Record a policy, on the left and sampling as in training, for `seconds` at each table."""
-    world, generator = World(tables, table), torch.Generator().manual_seed(seed)
-    world.seed(seed)
+    world, generator = World(tables, seed=seed), torch.Generator().manual_seed(seed)
     world.new_rounds()
     decisions, max_steps = (round_steps(duration, world.table, frame_skip) for duration in (seconds, round_seconds))
     observation = np.empty((decisions, tables, OBSERVATION_SIZE), dtype=np.float32)

@@ -7,14 +7,13 @@ only, so the order of the rounds does not change a bit of them.
 from collections.abc import Callable, Sequence
 from math import log
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import choix
 import numpy as np
 import pandas as pd
 import torch
 from scipy import stats
-from scipy.sparse.csgraph import connected_components
 
 from airhockey_marl.evaluation.matches import FRAME_SKIP, RESULT_COLUMNS, play_matches
 from airhockey_marl.league.league import League, PlayerId
@@ -117,16 +116,8 @@ def play_pairs(
     return score
 
 
-def payoff(
-    league: League,
-    player_ids: Sequence[PlayerId],
-    rounds: int,
-    seed: int,
-    tables_per_pair: int = 10,
-    frame_skip: int = FRAME_SKIP,
-    progress: Callable[[float], None] | None = None,
-) -> np.ndarray:
-    """The payoff matrix: every pair of different players plays; see `play_pairs`.
+def payoff(league: League, player_ids: Sequence[PlayerId], rounds: int, seed: int, **options: Any) -> np.ndarray:
+    """The payoff matrix: every pair of different players plays; see `play_pairs` for the options.
 
     Returns:
         (k, k, 3) int: wins of the row's player against the column's, losses, and draws.
@@ -134,7 +125,7 @@ def payoff(
     rows, columns = np.triu_indices(len(player_ids), 1)
     pairs = [(player_ids[row], player_ids[column]) for row, column in zip(rows, columns, strict=True)]
     score = np.zeros((len(player_ids), len(player_ids), 3), dtype=np.int64)
-    score[rows, columns] = play_pairs(league, pairs, rounds, seed, tables_per_pair, frame_skip, progress)
+    score[rows, columns] = play_pairs(league, pairs, rounds, seed, **options)
     score[columns, rows] = score[rows, columns][:, [1, 0, 2]]
     return score
 
@@ -145,31 +136,22 @@ def win_rates(score: np.ndarray) -> np.ndarray:
     return np.where(decided > 0, score[..., 0] / np.maximum(decided, 1), np.nan)
 
 
-def bradley_terry(wins: np.ndarray, reference: int, prior_rounds: float = PRIOR_ROUNDS) -> Ratings:
+def bradley_terry(wins: np.ndarray, reference: int) -> Ratings:
     """Bradley-Terry ratings: the probability that i beats j is the logistic of the difference of their strengths.
 
-    Maximum likelihood by iterative Luce spectral ranking (Maystre and Grossglauser 2015), with a prior: `prior_rounds`
-    rounds of each player against one more player, of free strength, half of them won. It keeps the rating of a player
-    finite who won or lost all rounds or has no decided round (then the interval is wide), is symmetric in wins and
-    losses, and is small beside the hundreds of rounds that are usual here. The intervals are from the observed
+    Maximum likelihood by iterative Luce spectral ranking (Maystre and Grossglauser 2015), with a prior:
+    `PRIOR_ROUNDS` of each player against one more player, of free strength, half of them won. It keeps the rating of a
+    player finite who won or lost all rounds or has no decided round (then the interval is wide), is symmetric in wins
+    and losses, and is small beside the hundreds of rounds that are usual here. The intervals are from the observed
     information; they are valid if one number explains strength, see `goodness_of_fit`.
 
     Args:
         wins: (k, k) rounds that the row's player won against the column's; not all pairs need to have met.
         reference: index of the player whose rating is 0.
-
-    Raises:
-        ValueError: `prior_rounds` is 0 and a player is not connected with the reference by decided rounds.
     """
-    wins, k = np.array(wins, dtype=np.float64), len(wins)
-    np.fill_diagonal(wins, 0.0)  # self-play carries no rating information
-    padded_wins = wins
-    if prior_rounds:
-        padded_wins = np.pad(wins, (0, 1), constant_values=prior_rounds / 2)
-        padded_wins[k, k] = 0.0
-    component = connected_components(padded_wins, directed=False)[1]
-    if (unconnected := np.flatnonzero(component != component[reference])).size:
-        raise ValueError(f"players {unconnected.tolist()} are not connected with player {reference} by decided rounds")
+    k = len(wins)
+    padded_wins = np.pad(np.asarray(wins, dtype=np.float64), (0, 1), constant_values=PRIOR_ROUNDS / 2)
+    np.fill_diagonal(padded_wins, 0.0)  # self-play carries no rating information
     strength = choix.ilsr_pairwise_dense(padded_wins, max_iter=100_000, tol=1e-11)
     rounds, probability = padded_wins + padded_wins.T, _logistic(strength)
     information = np.diag((rounds * probability * (1 - probability)).sum(axis=1))
@@ -208,23 +190,15 @@ def _logistic(strength: np.ndarray) -> np.ndarray:
     return 1 / (1 + np.exp(strength[None, :] - strength[:, None]))
 
 
-def ratings_of_matches(matches: pd.DataFrame, reference: PlayerId | None = None) -> pd.DataFrame:
-    """`ratings_table` of all players in matches (`MATCH_COLUMNS`), by default relative to the oldest generation."""
-    player_ids, wins = wins_of_matches(matches)
-    return ratings_table(player_ids, wins, player_ids[0] if reference is None else reference)
-
-
-def ratings_table(player_ids: Sequence[PlayerId], wins: np.ndarray, reference: PlayerId) -> pd.DataFrame:
-    """Ratings with the columns member, rating, low, high; see `bradley_terry`."""
-    ratings = bradley_terry(wins, list(player_ids).index(reference))
-    return pd.DataFrame({"member": pd.Series(player_ids, dtype=object), **ratings._asdict()})
+def ratings_table(player_ids: Sequence[PlayerId], wins: np.ndarray) -> pd.DataFrame:
+    """Ratings relative to the first player, with the columns member, rating, low, high; see `bradley_terry`."""
+    return pd.DataFrame({"member": pd.Series(player_ids, dtype=object), **bradley_terry(wins, 0)._asdict()})
 
 
 def wins_of_matches(matches: pd.DataFrame) -> tuple[list[PlayerId], np.ndarray]:
-    """The players in `matches`, generations in order before scripted players by name, and their wins (k, k)."""
+    """The players in `matches` (`MATCH_COLUMNS`), first the generations in their order, and their wins (k, k)."""
     players = {*matches["generation"], *matches["opponent"]}
-    player_ids = [*sorted(int(player) for player in players if not isinstance(player, str))]
-    player_ids += sorted(player for player in players if isinstance(player, str))
+    player_ids = sorted(players, key=lambda player: (isinstance(player, str), player))
     index = {player: i for i, player in enumerate(player_ids)}
     wins = np.zeros((len(player_ids), len(player_ids)), dtype=np.int64)
     for generation, opponent, won, lost, _ in matches[list(MATCH_COLUMNS)].itertuples(index=False):

@@ -16,7 +16,7 @@ from PIL import Image
 from airhockey_marl.commands import league_report
 from airhockey_marl.evaluation.figures import payoff_figure
 from airhockey_marl.evaluation.league_metrics import (
-    EvaluationBudget,
+    EvaluationConfig,
     LeagueMetrics,
     Regressions,
     benchmark_generations,
@@ -32,7 +32,9 @@ from airhockey_marl.league.league import League
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 from tests.airhockey_marl.league.test_league import league_of
 
-BUDGET = EvaluationBudget(every=5, rounds=2, match_rounds=4, save_tables=3, std_tables=4, std_seconds=8.0)
+SIZES = {"every": 5, "rounds": 2, "match_rounds": 4, "save_tables": 3, "std_tables": 4, "std_seconds": 8.0}
+CONFIG = EvaluationConfig(**SIZES, seed=1, frame_skip=2)
+CARD = {"steps": 3000, "seed": 4, "note": "<script>alert(1)</script>", "config": {"env": {"tables": 4}}}
 FILES = ["league_report.html", "league_report.json", "match.gif", "payoff.csv", "payoff.png", "precision.png"]
 FILES += ["rating.png", "ratings.csv"]
 BEST_RESPONSE = [(1_000_000, MatchResult(30, 70, 2)), (2_000_000, MatchResult(80, 20, 0))]
@@ -58,14 +60,15 @@ def league() -> League:
 def written(league, tmp_path_factory) -> tuple[Path, LeagueMetrics]:
     """The folder of a report without matches, and its metrics."""
     folder = tmp_path_factory.mktemp("report")
-    card = {"steps": 3000, "seed": 4, "note": "<script>alert(1)</script>", "config": {"env": {"tables": 4}}}
-    return folder, write_report(folder, league, None, card, BUDGET, seed=1)
+    metrics = evaluate_league(league, None, CONFIG)
+    write_report(folder, league, None, CARD, CONFIG, metrics)
+    return folder, metrics
 
 
 def shown(metrics: LeagueMetrics) -> str:
     """The text of the page."""
     names = ("payoff.png", "rating.png", "precision.png", "matches.png", "best_response.png", "match.gif")
-    return text_of(page(metrics, dict.fromkeys(names, b"a picture"), {}, BUDGET, 1))
+    return text_of(page(metrics, dict.fromkeys(names, b"a picture"), {}, CONFIG))
 
 
 def test_report_writes_all_files(written):
@@ -79,7 +82,12 @@ def test_report_writes_all_files(written):
     assert list(ratings["member"]) == ["0", "1", "2", *SCRIPTED_PLAYERS] and set(ratings["source"]) == {"payoff"}
     assert (ratings["low"] <= ratings["rating"]).all() and (ratings["rating"] <= ratings["high"]).all()
     facts = json.loads((folder / "league_report.json").read_text(), parse_constant=pytest.fail)
-    assert facts["seed"] == 1 and facts["budget"]["rounds"] == 2 and facts["player_ids"] == [0, 1, 2, *SCRIPTED_PLAYERS]
+    assert facts["config"] == SIZES | {"seed": 1, "frame_skip": 2} and facts["player_ids"] == [
+        0,
+        1,
+        2,
+        *SCRIPTED_PLAYERS,
+    ]
     assert facts["win_rates"]["0"]["trials"] == metrics.win_rates[0].trials
 
 
@@ -129,15 +137,14 @@ def test_page_prints_no_nan(written, league):
 
 def test_report_is_reproducible(written, league, tmp_path):
     folder, _ = written
-    card = {"steps": 3000, "seed": 4, "note": "<script>alert(1)</script>", "config": {"env": {"tables": 4}}}
-    write_report(tmp_path, league, None, card, BUDGET, seed=1)
+    write_report(tmp_path, league, None, CARD, CONFIG, evaluate_league(league, None, CONFIG))
     for name in FILES:
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
 
 
 def test_matches_and_best_response_are_shown(written, league):
     folder, metrics = written
-    with_more = evaluate_league(league, matches(), BUDGET, 1, BEST_RESPONSE)
+    with_more = evaluate_league(league, matches(), CONFIG, BEST_RESPONSE)
     assert (with_more.score == metrics.score).all() and with_more.win_rates == metrics.win_rates
     assert list(with_more.training_ratings["member"]) == [0, 1, 2, "random", "striker"]
     assert set(with_more.ratings_table()["source"]) == {"payoff", "matches"}
