@@ -36,28 +36,24 @@ def check(cfg: DictConfig) -> None:
 
 def main(cfg: DictConfig) -> None:
     """Have people play, and write the data set."""
-    from airhockey_marl.envs.physics import TableSpec
-    from airhockey_marl.league.league import League
-    from airhockey_marl.players.inference import greedy_player
-    from guidance.simulated_users import load_advisors, load_population, sample_people, training_people
+    from guidance.simulated_users import load_population, sample_people, training_people
     from guidance.study.demonstrations import collect_demonstrations
+    from guidance.study.setup import load_play_setup
     from guidance.user_model import dataset
 
     folder, began = output_folder(cfg), time.perf_counter()
     with report_input_errors():
-        league = League.load(cfg.models.opponents)
-        if cfg.opponent >= len(league):
-            raise InputError(f"opponent = {cfg.opponent} must be a generation of the league, 0 to {len(league) - 1}")
+        setup = load_play_setup(cfg)
         if (folder / dataset.TENSORS).exists():
             raise InputError(
                 f"hydra.run.dir = {folder} must be a folder without {dataset.TENSORS}/: data are not replaced"
             )
         population = load_population(cfg.users)
         draw = training_people if cfg.people == "training" else partial(sample_people, cfg.participants)
-        people, advisors = draw(cfg.seed, population), load_advisors(cfg.users.advisors)
-    progress, table, sizes = ProgressBar(), TableSpec(), (cfg.demonstrations.games, cfg.demonstrations.ticks)
-    advance, opponent = partial(progress, f"{len(people)} people play"), greedy_player(league.player(cfg.opponent))
-    data = collect_demonstrations(people, opponent, *sizes, table, cfg.users.variant, advisors, cfg.seed, advance)
+        people = draw(cfg.seed, population)
+    progress, table = ProgressBar(), setup.table
+    play = partial(progress, f"{len(people)} people play")
+    data = collect_demonstrations(people, setup, **cfg.demonstrations, seed=cfg.seed, progress=play)
     progress.close()
     rows = dataset.people_table(people, list(population["archetypes"]))
     dataset.write_tensors(folder / dataset.TENSORS, data)

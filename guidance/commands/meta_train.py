@@ -67,33 +67,32 @@ def train(cfg: DictConfig, folder: Path) -> float:
     """Have people play, train both models on it, and write them and how they predict others; see `main`."""
     import torch
 
-    from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.experiment.tensorboard import log_final_scores
     from airhockey_marl.players.networks import GaussianPolicy
-    from guidance.simulated_users import load_advisors, load_population, sample_people, training_people
+    from guidance.simulated_users import load_population, sample_people, training_people
     from guidance.study.demonstrations import collect_demonstrations
     from guidance.study.models import save_user_model
-    from guidance.study.setup import load_opponent
+    from guidance.study.setup import load_play_setup
     from guidance.user_model.data import Demonstrations, action_ahead
     from guidance.user_model.evaluation import unseen_scores
 
     with report_input_errors():
         population = load_population(cfg.users)
-        users = {"table": TableSpec(), "variant": cfg.users.variant, "advisors": load_advisors(cfg.users.advisors)}
-        play = partial(collect_demonstrations, opponent=load_opponent(cfg), **cfg.demonstrations, **users)
+        setup = load_play_setup(cfg)
+        play = partial(collect_demonstrations, setup=setup, **cfg.demonstrations)
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
     progress = ProgressBar()
     people = training_people(cfg.seed, population)
     data = play(people, seed=cfg.seed, progress=partial(progress, "nine people play"))
-    data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, TableSpec()))
+    data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, setup.table))
     progress.close()
     seconds = train_both(cfg, folder, meta.to(cfg.compute), user.to(cfg.compute), data.to(cfg.compute))
     meta.cpu(), user.cpu()
     others = sample_people(len(data.action), HELD_OUT_SEED, population)
     unseen = play(others, seed=HELD_OUT_SEED, progress=partial(progress, "nine others play"))
     with torch.no_grad():
-        scores = unseen_scores(user, meta, cfg.maml.inner_lr, unseen, cfg.ahead, TableSpec())
+        scores = unseen_scores(user, meta, cfg.maml.inner_lr, unseen, cfg.ahead, setup.table)
     progress.close()
     facts = {"seed": cfg.seed, "ahead_s": cfg.ahead}
     save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})

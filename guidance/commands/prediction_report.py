@@ -44,10 +44,10 @@ def main(cfg: DictConfig) -> None:
     import numpy as np
 
     from airhockey_marl.envs.physics import TableSpec
-    from guidance.simulated_users import load_advisors, load_population, sample_people
+    from guidance.simulated_users import load_population, sample_people
     from guidance.study import prediction
     from guidance.study.demonstrations import collect_demonstrations
-    from guidance.study.setup import load_models, load_opponent
+    from guidance.study.setup import load_models, load_play_setup
 
     table, sizes = TableSpec(), (cfg.demonstrations.games, cfg.demonstrations.ticks)
     with report_input_errors():
@@ -56,11 +56,9 @@ def main(cfg: DictConfig) -> None:
             raise InputError(f"minutes = {list(cfg.minutes)} must hold one of at most {most:.3g}, the play for UA")
         require_numbers(cfg, "demonstrations.ticks", above=2 * max(cfg.ahead) / table.tick)
         people = sample_people(cfg.participants, cfg.seed, load_population(cfg.users))
-        advisors = load_advisors(cfg.users.advisors)
-        models = load_models(cfg)
-        opponent = load_opponent(cfg)
-    progress, game = ProgressBar(), (table, cfg.users.variant, advisors, cfg.seed)
-    data = collect_demonstrations(people, opponent, *sizes, *game, partial(progress, "people play"))
+        models, setup = load_models(cfg), load_play_setup(cfg)
+    progress = ProgressBar()
+    data = collect_demonstrations(people, setup, *sizes, cfg.seed, partial(progress, "people play"))
     progress("predictions", 0.0)
     results = {
         "ahead": prediction.errors_ahead(models, data, list(cfg.ahead), table),

@@ -6,17 +6,10 @@
 Writes tests.csv, figure6.png and .svg, and report.html; with `beside` also beside.png and .svg.
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors
 from airhockey_marl.experiment.run_folder import output_folder
-
-if TYPE_CHECKING:
-    from guidance.statistics.groups import Group
 
 
 def main(cfg: DictConfig) -> None:
@@ -32,9 +25,11 @@ def main(cfg: DictConfig) -> None:
             beside = None if cfg.beside is None else gather(cfg.beside, cfg.mixed)
         except ValueError as error:
             raise ValueError(f"beside: {error}") from error
-        if beside and (same := set(_files(group).values()) & set(_files(beside).values())):
-            files = ", ".join(file for file, digest in _files(beside).items() if digest in same)
-            raise ValueError(f"beside = {cfg.beside} has the same games as runs = {cfg.runs}: {files}")
+        if beside:
+            digests, others = group.manifest["trials_sha256"], beside.manifest["trials_sha256"]
+            if common := [file for file, digest in others.items() if digest in digests.values()]:
+                files = ", ".join(common)
+                raise ValueError(f"beside = {cfg.beside} has the same games as runs = {cfg.runs}: {files}")
     write_report(group.trials, folder, group.manifest, beside)
     print(screen_table(group))
     counts = count_findings(group.comparison)
@@ -45,7 +40,3 @@ def main(cfg: DictConfig) -> None:
         everything = count_findings(beside.comparison).loc["all"]
         print(f"beside: {everything.replicated} replicate ({everything.tested} tested), {everything.reversed} reversed")
     print(f"report: {folder / 'report.html'}")
-
-
-def _files(group: Group) -> dict[str, str]:
-    return group.manifest["trials_sha256"]

@@ -22,8 +22,8 @@ from airhockey_marl.experiment.run_folder import output_folder
 if TYPE_CHECKING:
     import numpy as np
 
-    from airhockey_marl.players.players import Player
-    from guidance.simulated_users import Advisors, Population
+    from guidance.simulated_users import Population
+    from guidance.study.setup import PlaySetup
 
 SKILL_TRIAL = 3000
 
@@ -37,37 +37,33 @@ def main(cfg: DictConfig) -> None:
     """Measure the people, print the table, and draw the figures."""
     import numpy as np
 
-    from airhockey_marl.envs.physics import TableSpec
-    from guidance.simulated_users import load_advisors, load_population, sample_people
+    from guidance.simulated_users import load_population, sample_people
     from guidance.simulated_users.force_response import Variant
     from guidance.simulated_users.validation.figures import draw_places, draw_push, draw_shots, draw_speeds
     from guidance.simulated_users.validation.measures import as_table, in_the_laboratory, style_measures
     from guidance.simulated_users.validation.motor_tasks import push_response
     from guidance.study.demonstrations import collect_demonstrations
-    from guidance.study.setup import load_opponent
+    from guidance.study.setup import load_play_setup
     from guidance.user_model.data import Demonstrations, hand_speed
 
     with report_input_errors():
-        population = load_population(cfg.users)
-        advisors = load_advisors(cfg.users.advisors)
-        opponent = load_opponent(cfg)
+        population, setup = load_population(cfg.users), load_play_setup(cfg)
     people = sample_people(cfg.laboratory, cfg.seed, population)
     results, data = in_the_laboratory(people, cfg.users.variant, cfg.seed)
 
-    table, names = TableSpec(), list(population["archetypes"])
-    sizes = {"games": 2, "ticks": round(cfg.play_seconds / table.tick)}
-    users = {"table": table, "variant": cfg.users.variant, "advisors": advisors}
+    table, names = setup.table, list(population["archetypes"])
 
     def games(seed: int) -> list[Demonstrations]:
         """Two games of each of `per_style` people of each archetype."""
         groups = [sample_people(cfg.per_style, seed, population, name) for name in names]
-        return [collect_demonstrations(group, opponent, **sizes, **users, seed=seed) for group in groups]
+        ticks = round(cfg.play_seconds / table.tick)
+        return [collect_demonstrations(group, setup, 2, ticks, seed) for group in groups]
 
     known, unseen = games(cfg.seed + 100), games(cfg.seed + 200)
     speeds = [hand_speed(data.observation, data.action, table).numpy().ravel() for data in unseen]
     results["speed of the hand in play, 99.9 %"] = np.array([np.percentile(np.concatenate(speeds), 99.9)])
     results |= style_measures([d.observation for d in known], [d.observation for d in unseen], table)
-    results |= by_skill(population, 6 * cfg.per_style, opponent, cfg.users.variant, advisors, cfg.seed)
+    results |= by_skill(population, 6 * cfg.per_style, setup, cfg.seed)
     rows, play = as_table(results), {name: d.observation[:, 0] for name, d in zip(names, unseen, strict=True)}
     folder = output_folder(cfg)
     write_text(folder / "human_measures.csv", rows.to_csv(index=False))
@@ -80,23 +76,20 @@ def main(cfg: DictConfig) -> None:
     print(f"\nfigures: {folder}")
 
 
-def by_skill(
-    population: Population, number: int, opponent: Player, variant: str, advisors: Advisors, seed: int
-) -> dict[str, np.ndarray]:
+def by_skill(population: Population, number: int, setup: PlaySetup, seed: int) -> dict[str, np.ndarray]:
     """Rounds won and shots stopped by `number` people of each of `SKILLS`, a value per person each."""
-    from airhockey_marl.envs.physics import TableSpec
-    from guidance.simulated_users import SimulatedUsers, sample_people
+    from guidance.simulated_users import sample_people
     from guidance.simulated_users.validation.measures import SKILLS
     from guidance.study.games import no_force, play_games
     from guidance.study.protocol import Protocol, user_and_table_states
 
-    table, won, stopped = TableSpec(), {}, {}
+    won, stopped = {}, {}
     game = Protocol(familiarization=0, rounds=14, extra_rounds=0, min_seconds=0, round_seconds=30)
     for trial, skill in enumerate(SKILLS):
         people = sample_people(number, seed + 300, population.with_parameters(skill_mean=skill, skill_sd=0.0))
         minds, serves = user_and_table_states(seed, range(number), SKILL_TRIAL + trial)
-        users = SimulatedUsers(people, minds, table, variant, advisors)
-        results = play_games(users, opponent, no_force, game, table, serves).results
+        users = setup.simulated_users(people, minds)
+        results = play_games(users, setup.opponent, no_force, game, setup.table, serves).results
         won[f"rounds won, skill {skill:+.1f}"] = results["win_rate"]
         stopped[f"shots stopped, skill {skill:+.1f}"] = results["defense_rate"]
     return {**won, **stopped}

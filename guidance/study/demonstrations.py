@@ -5,23 +5,18 @@ from collections.abc import Callable
 import numpy as np
 import torch
 
-from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.players.players import Player
-from guidance.simulated_users import Advisors, SimulatedUsers
 from guidance.study.games import GameRunner
 from guidance.study.protocol import RandomStream, spawn_rng_states
+from guidance.study.setup import PlaySetup
 from guidance.user_model.data import Demonstrations
 
 
 @torch.no_grad()
 def collect_demonstrations(
     people: np.ndarray,
-    opponent: Player,
+    setup: PlaySetup,
     games: int,
     ticks: int,
-    table: TableSpec,
-    variant: str,
-    advisors: Advisors,
     seed: int,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Demonstrations:
@@ -38,8 +33,8 @@ def collect_demonstrations(
         return np.stack([spawn_rng_states(seed, range(users), game, stream) for game in range(games)], axis=1).ravel()
 
     demonstrators = rng_states(RandomStream.DEMONSTRATOR)
-    players = SimulatedUsers(np.repeat(people, games), demonstrators, table, variant, advisors)
-    runner = GameRunner(players, opponent, table, rng_states(RandomStream.DEMONSTRATION_TABLE))
+    players = setup.simulated_users(np.repeat(people, games), demonstrators)
+    runner = GameRunner(players, setup.opponent, setup.table, rng_states(RandomStream.DEMONSTRATION_TABLE))
     runner.new_games()
     observation, action = np.empty((ticks, n, 12), dtype=np.float32), np.empty((ticks, n, 2), dtype=np.float32)
     for tick in range(ticks):

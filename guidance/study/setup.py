@@ -31,37 +31,53 @@ VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas
 STUDY_KEYS = ("users", "guidance", "study", "participants", "opponent")  # these and the models define a study
 
 
-@dataclass(frozen=True)
-class StudySetup:
-    """The conditions of a study, its models and protocol, and how its simulated people respond.
+@dataclass(frozen=True, kw_only=True)
+class PlaySetup:
+    """What simulated people play against, and how they respond.
+
+    Attributes:
+        opponent: the player at the right side of every table.
+        variant: how people respond to a force, see `guidance.simulated_users.force_response`.
+        advisors: the policies that skilled people learned from.
+        table: the table's dimensions and physics.
+    """
+
+    opponent: Player
+    variant: str
+    advisors: Advisors
+    table: TableSpec = field(default_factory=TableSpec)
+
+    def simulated_users(self, people: np.ndarray, rng_states: np.ndarray) -> SimulatedUsers:
+        """Simulated participants (n,) with random number streams of these states (n,)."""
+        return SimulatedUsers(people, rng_states, self.table, self.variant, self.advisors)
+
+
+@dataclass(frozen=True, kw_only=True)
+class StudySetup(PlaySetup):
+    """The conditions of a study, its models and protocol.
 
     Attributes:
         conditions: the conditions that are played.
         models: the models of the guidances.
-        opponent: the player at the right side of every table.
         lookahead_seconds: T_lookahead of Eq. 4.
         protocol: the course of a game.
-        variant: how people respond to a force, see `guidance.simulated_users.force_response`.
-        advisors: the policies that skilled people learned from.
         rating_scales: the scale of each signal of the rating proxies.
-        table: the table's dimensions and physics.
         extra_metrics: names of metrics of plug-ins, measured beside the paper's four.
     """
 
     conditions: Sequence[Condition]
     models: Models
-    opponent: Player
     lookahead_seconds: float
     protocol: Protocol
-    variant: str
-    advisors: Advisors
     rating_scales: Mapping[str, float]
-    table: TableSpec = field(default_factory=TableSpec)
     extra_metrics: tuple[str, ...] = ()
 
-    def simulated_users(self, people: np.ndarray, rng_states: np.ndarray) -> SimulatedUsers:
-        """Simulated participants (n,) with random number streams of these states (n,)."""
-        return SimulatedUsers(people, rng_states, self.table, self.variant, self.advisors)
+
+def load_play_setup(cfg: DictConfig, device: str = "cpu") -> PlaySetup:
+    """The opponent, evaluated on `device`, and the people's variant and advisors; see `load_setup`."""
+    check_variant(cfg.users.variant)
+    advisors = load_advisors(cfg.users.advisors)
+    return PlaySetup(opponent=load_opponent(cfg, device), variant=cfg.users.variant, advisors=advisors)
 
 
 def load_setup(cfg: DictConfig) -> StudySetup:
@@ -70,19 +86,16 @@ def load_setup(cfg: DictConfig) -> StudySetup:
     Raises:
         ValueError: a value is not valid, or a file is missing or broken; the message names it.
     """
-    check_variant(cfg.users.variant)
     metrics = tuple(cfg.get("metrics") or ())
     for name in metrics:
         EXTRA_METRICS.find(name, "metrics")
     device = cfg.get("compute", "cpu")
     return StudySetup(
+        **vars(load_play_setup(cfg, device)),
         conditions=load_conditions(cfg),
         models=load_models(cfg, device),
-        opponent=load_opponent(cfg, device),
         lookahead_seconds=cfg.guidance.lookahead,
         protocol=construct(Protocol, cfg.study, "study"),
-        variant=cfg.users.variant,
-        advisors=load_advisors(cfg.users.advisors),
         rating_scales=OmegaConf.to_container(cfg.users.scales),
         extra_metrics=metrics,
     )

@@ -264,7 +264,7 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
         ("watch", "condition.letter=7", "condition.letter = 7 must be a text"),
         ("collect", "people=everyone", "people = everyone must be training or study"),
         ("collect", "demonstrations.ticks=2.5", "demonstrations.ticks = 2.5 must be a whole number"),
-        ("collect", "opponent=1000", "opponent = 1000 must be a generation of the league, 0 to 100"),
+        ("collect", "opponent=1000", "generation = 1000 must be below 101"),
         ("play", "device=joystick", "device = joystick must be one of forcedimension, gamepad, mouse, simulated"),
         ("play", "device.max_speed=0", "device.max_speed = 0 must be a finite number above 0"),
         ("play", "device=gamepad", "device: gamepad = 0 must be the index of a connected gamepad"),

@@ -24,6 +24,7 @@ from airhockey_marl.players.inference import greedy_player
 from guidance.commands import collect
 from guidance.simulated_users import Population, load_advisors, sample_people, training_people
 from guidance.study import demonstrations, games
+from guidance.study.setup import PlaySetup
 from guidance.user_model import dataset
 from guidance.user_model.data import Demonstrations
 
@@ -49,9 +50,8 @@ def population() -> Population:
 def play(people: np.ndarray, seed: int, ticks: int = TICKS) -> Demonstrations:
     """What the command should have collected."""
     opponent = greedy_player(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(55))
-    return demonstrations.collect_demonstrations(
-        people, opponent, GAMES, ticks, TableSpec(), "comply_or_resist", ADVISORS, seed
-    )
+    setup = PlaySetup(opponent=opponent, variant="comply_or_resist", advisors=ADVISORS)
+    return demonstrations.collect_demonstrations(people, setup, GAMES, ticks, seed)
 
 
 @pytest.fixture(scope="module")

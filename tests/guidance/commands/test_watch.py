@@ -70,7 +70,9 @@ def absent(observation: torch.Tensor) -> torch.Tensor:
 def play(models: Models, condition: Condition, seconds: float = 1.0, against: Player = opponent) -> pd.DataFrame:
     users = SimulatedUsers(sample_people(1, 3), spawn_rng_states(3, [0], 0, 0), TABLE)
     protocol = Protocol(0, 1, 0, 0, 60)
-    setup = StudySetup([condition], models, against, 0.1, protocol, "comply_or_resist", NO_ADVISORS, {}, TABLE)
+    play = {"opponent": against, "variant": "comply_or_resist", "advisors": NO_ADVISORS, "table": TABLE}
+    course = {"lookahead_seconds": 0.1, "protocol": protocol, "rating_scales": {}}
+    setup = StudySetup(conditions=[condition], models=models, **course, **play)
     return record_game(users, setup, None, spawn_rng_states(3, [0], 0, 1), seconds)
 
 

@@ -19,51 +19,49 @@ from guidance.simulated_users.validation.playstyles import (
     shot_velocities,
 )
 from guidance.study.demonstrations import collect_demonstrations
+from guidance.study.setup import PlaySetup
 
 TABLE = TableSpec()
 EACH, TICKS = 10, 3000
 
 
 @pytest.fixture(scope="module")
-def opponent():
-    return greedy_player(League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(25))
+def setup() -> PlaySetup:
+    opponent = League.load(CONF.parent / "airhockey_marl/pretrained/opponents.safetensors").player(25)
+    advisors = load_advisors(CONF.parent / "guidance/pretrained/advisors.safetensors")
+    return PlaySetup(opponent=greedy_player(opponent), variant="comply_or_resist", advisors=advisors)
 
 
-@pytest.fixture(scope="module")
-def advisors():
-    return load_advisors(CONF.parent / "guidance/pretrained/advisors.safetensors")
-
-
-def games(population: Population, seed: int, opponent, advisors) -> tuple[np.ndarray, list[np.ndarray]]:
+def games(population: Population, seed: int, setup: PlaySetup) -> tuple[np.ndarray, list[np.ndarray]]:
     """Archetypes (n,), and the features (n, 10) of each of two games."""
     people = np.concatenate(
         [sample_people(EACH, seed + i, population, a) for i, a in enumerate(population["archetypes"])]
     )
-    data = collect_demonstrations(people, opponent, 2, TICKS, TABLE, "comply_or_resist", advisors, seed)
+    data = collect_demonstrations(people, setup, 2, TICKS, seed)
     return people["archetype"], [features(data.observation[:, game], TABLE) for game in (0, 1)]
 
 
-def test_games_identify_playstyle_and_person(opponent, advisors):
+def test_games_identify_playstyle_and_person(setup):
     population = Population.default()
-    style, (known, _) = games(population, 4000, opponent, advisors)
-    others, (one, another) = games(population, 4500, opponent, advisors)
+    style, (known, _) = games(population, 4000, setup)
+    others, (one, another) = games(population, 4500, setup)
     assert np.mean(classify_styles(known, style, one) == others) > 0.4  # chance is 1 of 6
     assert identification_rate(one, another) > 0.15  # chance is 1 of 60
 
 
-def test_games_of_identical_people_identify_neither(opponent, advisors):
+def test_games_of_identical_people_identify_neither(setup):
     default = Population.default()
     same = {k: value._replace(log_sd=0.0) for k, value in default.parameters.items() if isinstance(value, LogNormal)}
     alike = {name: [0.5] * 6 for name in default.style.archetypes}
     population = Population.default(**same, archetypes=alike, trait_concentration=np.inf, skill_sd=0.0)
-    style, (known, _) = games(population, 4000, opponent, advisors)
-    others, (one, another) = games(population, 4500, opponent, advisors)
+    style, (known, _) = games(population, 4000, setup)
+    others, (one, another) = games(population, 4500, setup)
     assert np.mean(classify_styles(known, style, one) == others) < 0.4
     assert identification_rate(one, another) < 0.1
 
 
-def test_more_skill_wins_more_and_stops_more(opponent, advisors):
-    found = by_skill(Population.default(), 90, opponent, "comply_or_resist", advisors, 0)
+def test_more_skill_wins_more_and_stops_more(setup):
+    found = by_skill(Population.default(), 90, setup, 0)
     won, stopped = ([np.nanmean(v) for name, v in found.items() if name.startswith(w)] for w in ("rounds", "shots"))
     assert won[0] < won[2] and stopped[0] < stopped[1] < stopped[2]
     assert won[0] - 0.02 < won[1] < won[2] + 0.02

@@ -47,7 +47,9 @@ def opponent(observation: torch.Tensor) -> torch.Tensor:
 
 
 def setup_of(models, conditions, protocol=SHORT) -> StudySetup:
-    return StudySetup(conditions, models, opponent, 0.1, protocol, "comply_or_resist", NO_ADVISORS, SCALES)
+    play = {"opponent": opponent, "variant": "comply_or_resist", "advisors": NO_ADVISORS}
+    models_and_course = {"models": models, "lookahead_seconds": 0.1, "protocol": protocol}
+    return StudySetup(conditions=conditions, **models_and_course, **play, rating_scales=SCALES)
 
 
 def study(models, conditions, protocol=SHORT, people=3, seed=0):
