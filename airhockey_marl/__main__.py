@@ -10,7 +10,7 @@ A package brings commands by an entry point of the group `airhockey.commands` th
 
 import pkgutil
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from difflib import get_close_matches
 from importlib.metadata import entry_points
 from importlib.util import find_spec
@@ -22,16 +22,11 @@ GROUP = "airhockey.commands"
 
 
 @tolerant_output()
-def main(argv: Sequence[str] | None = None, packages: Iterable[str] = ()) -> None:
-    """List the commands, or run the one that the first argument names.
-
-    Args:
-        argv: those of the process by default.
-        packages: of commands, beside those that are installed.
-    """
+def main(argv: Sequence[str] | None = None) -> None:
+    """List the commands, or run the one that the first argument, by default of the process, names."""
     arguments = list(sys.argv[1:] if argv is None else argv)
     name = arguments.pop(0) if arguments else "--help"
-    commands = find_commands(packages)
+    commands = find_commands()
     if name in ("-h", "--help", "help"):
         print(overview(commands))
     elif name in commands:
@@ -43,10 +38,10 @@ def main(argv: Sequence[str] | None = None, packages: Iterable[str] = ()) -> Non
         sys.exit(2)
 
 
-def find_commands(packages: Iterable[str] = ()) -> dict[str, Command]:
-    """The commands by name: of this package, of others, and of those installed, which cannot replace an earlier one."""
+def find_commands() -> dict[str, Command]:
+    """The commands by name: of this package, and of those installed, which cannot replace an earlier one."""
     commands: dict[str, Command] = {}
-    for package in dict.fromkeys([f"{__package__}.commands", *packages, *installed(), *beside()]):
+    for package in dict.fromkeys([f"{__package__}.commands", *installed(), *beside()]):
         for module in pkgutil.iter_modules(find_spec(package).submodule_search_locations):
             commands.setdefault(module.name, Command(f"{package}.{module.name}"))
     return commands

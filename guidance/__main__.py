@@ -3,4 +3,4 @@
 from airhockey_marl.__main__ import main
 
 if __name__ == "__main__":
-    main(packages=["guidance.commands"])
+    main()

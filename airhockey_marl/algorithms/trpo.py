@@ -69,10 +69,8 @@ class FisherVectorProduct:
         )
 
     def __call__(self, vector: Tensor) -> Tensor:
-        split, start = [], 0
-        for parameter in self.parameters:
-            split.append(vector[start : start + parameter.numel()].view_as(parameter))
-            start += parameter.numel()
+        parts = vector.split([parameter.numel() for parameter in self.parameters])
+        split = [part.view_as(parameter) for part, parameter in zip(parts, self.parameters, strict=True)]
         jacobian_v = torch.autograd.grad(self.pullback, self.cotangents, split, retain_graph=True)
         metric_v = [m * jv for m, jv in zip(self.metric, jacobian_v, strict=True)]
         product = torch.autograd.grad(self.outputs, self.parameters, metric_v, retain_graph=True)

@@ -13,11 +13,12 @@ its way. The physics is symmetric under the half turn that swaps the agents.
 """
 
 from math import hypot, sqrt
-from numbers import Integral, Real
 from typing import NamedTuple
 
 import numpy as np
 from numba import njit
+
+from airhockey_marl.experiment.validation import check_counts, check_numbers
 
 LEFT, RIGHT, PUCK = 0, 1, 2  # rows of `bodies`
 X, Y, VX, VY = 0, 1, 2, 3  # columns of `bodies`
@@ -74,17 +75,15 @@ MAX_VALUES = {
     "tick": 1.0,
     "substeps": 1000,
 }
+MAY_BE_ZERO = ("drag", "friction", "serve_speed_low", "serve_angle", "stall_speed")
 
 
 def check_table(table: TableSpec) -> TableSpec:
     """Return `table`, or raise a ValueError that names the field with which it cannot be played on."""
     for name, value in table._asdict().items():
-        lowest = 0 if name in ("drag", "friction", "serve_speed_low", "serve_angle", "stall_speed") else 1e-9
-        number = isinstance(value, Real) and not isinstance(value, bool) and np.isfinite(value)
-        if not number or value < lowest:
-            raise ValueError(f"table.{name} = {value} must be a number {'of at least' if lowest == 0 else 'above'} 0")
-        if value > MAX_VALUES[name]:
-            raise ValueError(f"table.{name} = {value} must be at most {MAX_VALUES[name]:g}")
+        least = 0.0 if name in MAY_BE_ZERO else 1e-9
+        check_numbers(least, at_most=MAX_VALUES[name], **{f"table.{name}": value})
+    check_counts(**{"table.substeps": table.substeps})
     if not 2 * table.puck_radius < table.goal < table.width:
         raise ValueError(f"table.goal = {table.goal} must be between the puck's diameter and the table's width")
     if table.length <= 4 * table.paddle_radius:
@@ -93,8 +92,6 @@ def check_table(table: TableSpec) -> TableSpec:
         raise ValueError(f"table.width = {table.width}, table.length = {table.length}: too small to play on")
     if table.serve_speed_high < table.serve_speed_low:
         raise ValueError(f"table.serve_speed_high = {table.serve_speed_high} is below serve_speed_low")
-    if not isinstance(table.substeps, Integral):
-        raise ValueError(f"table.substeps = {table.substeps} must be a whole number")
     return table
 
 

@@ -158,8 +158,7 @@ class World:
     PARALLEL_FROM = 256  # tables; below, starting the threads costs more than they save
 
     def __init__(self, n: int, table: TableSpec | None = None, seed: int = 0) -> None:
-        if not isinstance(n, Integral) or isinstance(n, bool) or n < 1:
-            raise ValueError(f"tables = {n!r} must be at least 1")
+        check_counts(tables=n)
         self.n, self.table = n, check_table(table or TableSpec())
         self._values = tuple(self.table)  # numba takes a plain tuple faster than a NamedTuple, by 1.5 us a call
         self._all = np.arange(n)

@@ -218,16 +218,11 @@ def read_matches(path: Path | str) -> pd.DataFrame:
     if tuple(matches.columns) != MATCH_COLUMNS:
         columns = ", ".join(map(str, matches.columns))
         raise ValueError(f"{path} has the columns {columns}, must have {', '.join(MATCH_COLUMNS)}")
-    for column in MATCH_COLUMNS:
-        values = matches[column]
-        if column == "opponent":
-            invalid = values.isna()
-        else:
-            numbers = pd.to_numeric(values, errors="coerce")
-            invalid = numbers.mod(1).ne(0) | numbers.lt(0)
-        if invalid.any():
-            row = invalid.idxmax()
-            allowed = "a generation or a scripted player" if column == "opponent" else "a whole number of at least 0"
-            raise ValueError(f"{path}, row {row + 1}: {column} = {values[row]} must be {allowed}")
+    counts = matches.drop(columns="opponent").apply(pd.to_numeric, errors="coerce")
+    invalid = (counts.mod(1).ne(0) | counts.lt(0)).assign(opponent=matches["opponent"].isna())
+    for column in invalid.columns[invalid.any()]:
+        row = invalid[column].idxmax()
+        allowed = "a generation or a scripted player" if column == "opponent" else "a whole number of at least 0"
+        raise ValueError(f"{path}, row {row + 1}: {column} = {matches[column][row]} must be {allowed}")
     matches["opponent"] = pd.Series([int(m) if m.isdigit() else m for m in matches["opponent"]], dtype=object)
-    return matches.astype({column: np.int64 for column in MATCH_COLUMNS if column != "opponent"})
+    return matches.astype(dict.fromkeys(counts, np.int64))

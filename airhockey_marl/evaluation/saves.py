@@ -27,11 +27,6 @@ class Saves(NamedTuple):
     blocked: int
     conceded: int
 
-    @property
-    def rate(self) -> float:
-        """Share of the shots that were blocked; NaN without a shot."""
-        return self.blocked / (self.blocked + self.conceded) if self.blocked + self.conceded else float("nan")
-
 
 @njit(cache=True)
 def update_counts(shot, counts, bodies, goals, touched, served, no_paddles):

@@ -75,9 +75,6 @@ class Registry(Mapping[str, T], Generic[T]):
     def __len__(self) -> int:
         return len(list(iter(self)))
 
-    def __contains__(self, name: object) -> bool:
-        return name in self._entries or name in self._builtin or name in list(iter(self))
-
     def find(self, name: Any, place: str) -> T:
         """The entry of this name.
 
@@ -186,28 +183,23 @@ def load_plugins() -> None:
     for registry, known in zip(_registries, [*before, *[set()] * (len(_registries) - len(before))], strict=True):
         for name in set(registry._entries) - known - set(registry._builtin):
             if registry.group is not None:
-                _offer(registry.group, name, {registry.key: name, **_defaults(registry._entries[name])})
+                from hydra.core.config_store import ConfigStore  # only where there are plug-ins
 
-
-def _offer(group: str, name: str, node: dict[str, Any]) -> None:
-    from hydra.core.config_store import ConfigStore  # only where there are plug-ins
-
-    ConfigStore.instance().store(group=group, name=name, node=node)
+                node = {registry.key: name, **_defaults(registry._entries[name])}
+                ConfigStore.instance().store(group=registry.group, name=name, node=node)
 
 
 def _defaults(entry: Any) -> dict[str, Any]:
     """The settings of an entry with their defaults; ??? for those that must be chosen."""
     if dataclasses.is_dataclass(entry) and not isinstance(entry, type):  # an object: its fields are the settings
         return {key: list(value) if isinstance(value, tuple) else value for key, value in vars(entry).items()}
-    factories = (
-        {f.name: f.default_factory for f in dataclasses.fields(entry)} if dataclasses.is_dataclass(entry) else {}
-    )
     settings = {}
     for parameter in inspect.signature(entry).parameters.values():
         if parameter.kind in (parameter.POSITIONAL_OR_KEYWORD, parameter.KEYWORD_ONLY):
-            factory = factories.get(parameter.name, dataclasses.MISSING)
-            default = "???" if parameter.default is parameter.empty else parameter.default
-            settings[parameter.name] = default if factory is dataclasses.MISSING else factory()
+            settings[parameter.name] = "???" if parameter.default is parameter.empty else parameter.default
+    for field in dataclasses.fields(entry) if dataclasses.is_dataclass(entry) else ():
+        if field.default_factory is not dataclasses.MISSING:
+            settings[field.name] = field.default_factory()
     return settings
 
 

@@ -94,7 +94,9 @@ class League:
 
     def add(self, policy: GaussianPolicy) -> str:
         """Freeze a copy of the policy as the next generation; returns the hash of its weights."""
-        snapshot = policy_weights(policy).clone().lock_()
+        # the parameters, nested like the modules; not the buffers, which are constants of the architecture
+        weights = TensorDict({name: tensor.detach().cpu() for name, tensor in policy.named_parameters()})
+        snapshot = weights.unflatten_keys(".").clone().lock_()
         self.snapshots.append(snapshot)
         self.hashes.append(weights_hash(snapshot))
         return self.hashes[-1]
@@ -159,11 +161,6 @@ class League:
         league.snapshots = [snapshot.clone().lock_() for snapshot in stacked.unbind(0)]
         league.hashes = [weights_hash(snapshot) for snapshot in league.snapshots]
         return league
-
-
-def policy_weights(policy: GaussianPolicy) -> TensorDict:
-    """The policy's parameters, nested like its modules; not its buffers, which are constants of the architecture."""
-    return TensorDict({name: tensor.detach().cpu() for name, tensor in policy.named_parameters()}).unflatten_keys(".")
 
 
 def require_weights(policy: GaussianPolicy, shapes: Mapping[str, tuple[int, ...]]) -> None:

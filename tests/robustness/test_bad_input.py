@@ -24,7 +24,7 @@ PEOPLE = SimulatedUsers(sample_people(2, 0), personal_streams(2, 0))
 
 TABLE = [
     # tables: compiled code asks nothing, and wrote over other memory until the process was no more
-    (lambda: World(0), r"tables = 0 must be at least 1"),
+    (lambda: World(0), r"tables = 0 must be a whole number of at least 1"),
     (lambda: TWO.step(ACTIONS[:1]), r"actions: float64 of shape \(1, 2, 2\), must be an array of floats"),
     (lambda: TWO.step(ACTIONS[0]), r"actions: float64 of shape \(2, 2\)"),
     (lambda: TWO.step(ACTIONS.astype(int)), r"actions: int64 of shape"),
@@ -42,7 +42,7 @@ TABLE = [
         r"out: float64 of shape \(2, 11\), must be an array of floats of shape \(2, 12\)",
     ),
     (lambda: TWO.observe(LEFT, np.zeros((1, 12))), r"out: float64 of shape \(1, 12\)"),
-    (lambda: check_table(TableSpec(goal="wide")), r"table\.goal = wide must be a number"),
+    (lambda: check_table(TableSpec(goal="wide")), r"table\.goal = 'wide' must be a finite number"),
     (lambda: GAME.step({"left": ROWS, "right": [0.0]}), r"actions\['right'\]: list, must be numbers of shape \(2,\)"),
     (lambda: GAME.step({"left": ROWS}), r"actions\['right'\]: NoneType, must be numbers"),
     (lambda: AirHockey(render_mode="gif"), r"render_mode = 'gif' must be None or 'rgb_array'"),

@@ -236,7 +236,7 @@ def test_a_puck_squeezed_into_the_wall_stays_on_the_table():
     ],
 )
 def test_a_table_that_cannot_be_played_on_is_refused_by_name(field, value):
-    with pytest.raises(ValueError, match=re.escape(f"table.{field} = {value}")):
+    with pytest.raises(ValueError, match=re.escape(f"table.{field} = {value!r}")):
         check_table(TABLE._replace(**{field: value}))
 
 

@@ -8,7 +8,7 @@ import torch
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.puck_path import without_paddles
 from airhockey_marl.envs.world import World
-from airhockey_marl.evaluation.saves import Saves, count_saves, update_counts
+from airhockey_marl.evaluation.saves import count_saves, update_counts
 from airhockey_marl.players.players import stochastic
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 
@@ -74,11 +74,6 @@ def test_a_new_serve_ends_a_shot():
     assert not shot[0]
     update_counts(shot, counts, state, -one, none, np.array([False]), NO_PADDLES)
     assert counts.tolist() == [0, 0]
-
-
-def test_rate():
-    assert Saves(3, 1).rate == 0.75
-    assert math.isnan(Saves(0, 0).rate)
 
 
 def stay(observation):
