@@ -1,9 +1,32 @@
-"""Generalized advantage estimation (Schulman et al. 2016)."""
+"""Generalized advantage estimation (Schulman et al. 2016), and what learners with a critic have in common."""
+
+from typing import Any
 
 import torch
 from tensordict import TensorDictBase
 from torch import Tensor, nn
+from torch.optim import Optimizer
 from torchrl.objectives.value.functional import generalized_advantage_estimate
+
+from airhockey_marl.players.networks import Critic
+
+
+class ActorCriticLearner:
+    """A policy and its critic in training.
+
+    Args:
+        config: of the algorithm, with `critic_hidden` and `critic_inputs`.
+        gamma: discount per decision.
+    """
+
+    optimizer: Optimizer
+
+    def __init__(self, config: Any, policy: nn.Module, gamma: float) -> None:
+        self.config, self.policy, self.gamma = config, policy, gamma
+        self.critic = Critic(config.critic_hidden, config.critic_inputs).to(next(policy.parameters()).device)
+
+    def modules(self) -> dict[str, nn.Module | Optimizer]:
+        return {"critic": self.critic, "optimizer": self.optimizer}
 
 
 @torch.no_grad()

@@ -15,11 +15,10 @@ from torch import nn
 from torchrl.modules import IndependentNormal, ProbabilisticActor
 from torchrl.objectives import ClipPPOLoss
 
-from airhockey_marl.algorithms.advantages import advantages
+from airhockey_marl.algorithms.advantages import ActorCriticLearner, advantages
 from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.algorithms.trpo import kl_divergence
 from airhockey_marl.experiment.validation import check_counts, check_numbers, labeled
-from airhockey_marl.players.networks import Critic
 
 
 @ALGORITHMS.register("ppo")
@@ -58,12 +57,11 @@ class PPOConfig:
         return PPOLearner(self, policy, gamma)
 
 
-class PPOLearner:
+class PPOLearner(ActorCriticLearner):
     """A policy and its critic in training by PPO."""
 
     def __init__(self, config: PPOConfig, policy: nn.Module, gamma: float) -> None:
-        self.config, self.policy, self.gamma = config, policy, gamma
-        self.critic = Critic(config.critic_hidden, config.critic_inputs).to(next(policy.parameters()).device)
+        super().__init__(config, policy, gamma)
         self.loss = ClipPPOLoss(
             gaussian_actor(policy),
             TensorDictModule(self.critic, in_keys=["observation"], out_keys=["state_value"]),
@@ -78,9 +76,6 @@ class PPOLearner:
         self.parameters = [*policy.parameters(), *self.critic.parameters()]
         # epsilon of the reference implementation, larger than Adam's default (Huang et al. 2022, detail 3)
         self.optimizer = torch.optim.Adam(self.parameters, lr=config.lr, eps=1e-5, fused=True)
-
-    def modules(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
-        return {"critic": self.critic, "optimizer": self.optimizer}
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Train policy and critic; see `base.Learner` for the batch.

@@ -30,6 +30,8 @@ from airhockey_marl.algorithms.ppo import gaussian_actor
 from airhockey_marl.experiment.validation import check_counts, check_numbers, labeled
 from airhockey_marl.players.networks import PADDLE, ObservationScaling, check_hidden, mlp_layers
 
+MAX_ENTROPY = 2.0 * 0.5 * math.log(2 * math.pi * math.e)  # nats, of two Gaussians with STD 1
+
 
 @ALGORITHMS.register("sac")
 @dataclass(frozen=True)
@@ -65,19 +67,11 @@ class SACConfig:
         check_numbers(above=0.0, **labeled(self, "algorithm", *rates))
         check_numbers(above=0.0, at_most=1.0, **labeled(self, "algorithm", "tau"))
         check_numbers(0.0, **labeled(self, "algorithm", "outside_cost"))
-        check_numbers(**labeled(self, "algorithm", "target_entropy"))
-        if not self.target_entropy < MAX_ENTROPY:
-            raise ValueError(
-                f"algorithm.target_entropy = {self.target_entropy} must be below {MAX_ENTROPY:.2f}, "
-                "the entropy of two Gaussians with STD 1"
-            )
+        check_numbers(below=MAX_ENTROPY, **labeled(self, "algorithm", "target_entropy"))
         check_hidden(self.q_hidden, "algorithm.q_hidden")
 
     def learner(self, policy: nn.Module, gamma: float) -> "SACLearner":
         return SACLearner(self, policy, gamma)
-
-
-MAX_ENTROPY = 2.0 * 0.5 * math.log(2 * math.pi * math.e)  # nats
 
 
 class QNetwork(nn.Module):

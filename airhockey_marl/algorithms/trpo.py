@@ -13,10 +13,9 @@ from tensordict import TensorDictBase
 from torch import Tensor, nn
 from torch.nn.utils import parameters_to_vector, vector_to_parameters
 
-from airhockey_marl.algorithms.advantages import advantages
+from airhockey_marl.algorithms.advantages import ActorCriticLearner, advantages
 from airhockey_marl.algorithms.base import ALGORITHMS
 from airhockey_marl.experiment.validation import check_counts, check_numbers, labeled
-from airhockey_marl.players.networks import Critic
 
 
 def conjugate_gradient(matvec: Callable[[Tensor], Tensor], b: Tensor, steps: int, tolerance: float = 1e-10) -> Tensor:
@@ -109,26 +108,21 @@ class TRPOConfig:
     def __post_init__(self) -> None:
         counts = ("cg_max_steps", "line_search_max_iter", "critic_epochs", "critic_batch_size")
         check_counts(**labeled(self, "algorithm", *counts))
-        check_numbers(above=0.0, **labeled(self, "algorithm", "max_kl", "line_search_shrink", "critic_lr"))
+        check_numbers(above=0.0, **labeled(self, "algorithm", "max_kl", "critic_lr"))
+        check_numbers(above=0.0, below=1.0, **labeled(self, "algorithm", "line_search_shrink"))
         check_numbers(above=0.0, at_most=1.0, **labeled(self, "algorithm", "fisher_subsample", "gae_lambda"))
         check_numbers(0.0, **labeled(self, "algorithm", "damping"))
-        if not self.line_search_shrink < 1:
-            raise ValueError(f"algorithm.line_search_shrink = {self.line_search_shrink} must be between 0 and 1")
 
     def learner(self, policy: nn.Module, gamma: float) -> "TRPOLearner":
         return TRPOLearner(self, policy, gamma)
 
 
-class TRPOLearner:
+class TRPOLearner(ActorCriticLearner):
     """A policy and its critic in training by TRPO."""
 
     def __init__(self, config: TRPOConfig, policy: nn.Module, gamma: float) -> None:
-        self.config, self.policy, self.gamma = config, policy, gamma
-        self.critic = Critic(config.critic_hidden, config.critic_inputs).to(next(policy.parameters()).device)
+        super().__init__(config, policy, gamma)
         self.optimizer = torch.optim.Adam(self.critic.parameters(), lr=config.critic_lr, fused=True)
-
-    def modules(self) -> dict[str, nn.Module | torch.optim.Optimizer]:
-        return {"critic": self.critic, "optimizer": self.optimizer}
 
     def update(self, batch: TensorDictBase) -> dict[str, float]:
         """Train the policy, then the critic; see `base.Learner` for the batch.

@@ -20,7 +20,6 @@ def check(cfg: DictConfig) -> None:
 
 
 def main(cfg: DictConfig) -> None:
-    """Play the matches, write them down and draw them."""
     from airhockey_marl.evaluation.comparison import (
         LEAGUE_FILE,
         check_runs,

@@ -25,7 +25,6 @@ def check(cfg: DictConfig) -> None:
 
 
 def main(cfg: DictConfig) -> None:
-    """Measure the league and write its report."""
     from airhockey_marl.evaluation.league_metrics import EvaluationConfig, check_league, evaluate_league
     from airhockey_marl.evaluation.league_report import LAYOUT, TAGS, log_to_tensorboard, summary, write_report
     from airhockey_marl.evaluation.matches import FRAME_SKIP

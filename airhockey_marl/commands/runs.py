@@ -31,27 +31,23 @@ def check(cfg: DictConfig) -> None:
 
 
 def main(cfg: DictConfig) -> None:
-    """List the runs, or remove those that failed."""
     outputs = Path(cfg.outputs)
-    everything = sorted(runs_below(outputs), key=lambda run: (run.started, run.folder))
-    runs = [run for run in everything if cfg.command in (None, run.command) and cfg.status in (None, run.state)]
-    if not runs:
-        print(f"no such runs in {outputs}")
+    all_runs = sorted(runs_below(outputs), key=lambda run: (run.started, run.folder))
+    runs = [run for run in all_runs if cfg.command in (None, run.command) and cfg.status in (None, run.state)]
+    if not runs or not cfg.clean:
+        print(listing(runs, outputs) if runs else f"no such runs in {outputs}")
         return
-    if not cfg.clean:
-        print(listing(runs, outputs))
-        return
-    lost = [run for run in removable(everything) if run in runs]
-    if not lost:
+    removals = [run for run in removable(all_runs) if run in runs]
+    if not removals:
         print("nothing to remove")
         return
-    print(listing(lost, outputs))
+    print(listing(removals, outputs))
     try:
-        answer = input(f"remove these {len(lost)} folders from {outputs}? [y/N] ")
+        answer = input(f"remove these {len(removals)} folders from {outputs}? [y/N] ")
     except EOFError:
         answer = ""
-    removed = remove(lost) if answer.strip().lower() in ("y", "yes") else []
-    print(f"removed {len(removed)} of {len(lost)}")
+    removed = remove(removals) if answer.strip().lower() in ("y", "yes") else []
+    print(f"removed {len(removed)} of {len(removals)}")
 
 
 def listing(runs: Sequence[RunRecord], outputs: Path) -> str:
@@ -82,8 +78,8 @@ def duration(seconds: float | None) -> str:
 
 def removable(runs: Sequence[RunRecord]) -> list[RunRecord]:
     """The runs that failed or were interrupted, cannot be resumed, and have no other run within their folder."""
-    lost = [run for run in runs if run.state in OVER and not run.resumable]
-    return [run for run in lost if not any(run.folder in other.folder.parents for other in runs)]
+    removals = [run for run in runs if run.state in OVER and not run.resumable]
+    return [run for run in removals if not any(run.folder in other.folder.parents for other in runs)]
 
 
 def remove(runs: Iterable[RunRecord]) -> list[RunRecord]:

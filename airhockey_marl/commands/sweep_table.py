@@ -8,12 +8,11 @@ Reads the card.json of every run below `runs`: settings that differ between runs
 Writes sweep_table.csv, a row per run, into its run folder, and prints the table.
 """
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import pandas as pd
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors
@@ -21,14 +20,10 @@ from airhockey_marl.experiment.config import InputError, flatten_settings
 from airhockey_marl.experiment.files import find_files, load_json, write_text
 from airhockey_marl.experiment.run_folder import output_folder
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 CARD = "card.json"
 
 
 def main(cfg: DictConfig) -> None:
-    """Write the table of all runs, and print it averaged over seeds."""
     with report_input_errors():
         rows, varied, scores = tabulate(read_cards(cfg.runs))
         if cfg.by is not None and cfg.by not in scores:
@@ -51,8 +46,6 @@ def read_cards(places: str | Iterable[str]) -> dict[Path, dict[str, Any]]:
 
 def tabulate(cards: Mapping[Path, Mapping[str, Any]]) -> tuple[pd.DataFrame, list[str], list[str]]:
     """A row per run, the settings that differ between runs, and the scores: the numbers in a card's other tables."""
-    import pandas as pd
-
     settings = pd.DataFrame([flatten_settings(card["config"]) for card in cards.values()])
     varied = [name for name in settings if name != "resume" and settings[name].nunique(dropna=False) > 1]
     results = pd.DataFrame(

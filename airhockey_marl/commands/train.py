@@ -29,12 +29,10 @@ def check(cfg: DictConfig) -> None:
     require_counts(cfg, "shaping.generations", "pictures_every", least=0)
     require_numbers(cfg, "gamma", "league.win_rate_decay", at_most=1.0)
     require_numbers(cfg, "env.round_seconds")
-    require_numbers(cfg, *(f"shaping.{name}" for name in ("position", "velocity", "shot", "approach")), least=0.0)
-    for whole, part in (("batch", "env.tables"), ("steps_per_generation", "batch"), ("env.tables", "league.opponents")):
-        if OmegaConf.select(cfg, whole) % OmegaConf.select(cfg, part):
-            raise InputError(
-                f"{whole} = {OmegaConf.select(cfg, whole)} must be a multiple of {part} = {OmegaConf.select(cfg, part)}"
-            )
+    for total, part in (("batch", "env.tables"), ("steps_per_generation", "batch"), ("env.tables", "league.opponents")):
+        dividend, divisor = OmegaConf.select(cfg, total), OmegaConf.select(cfg, part)
+        if dividend % divisor:
+            raise InputError(f"{total} = {dividend} must be a multiple of {part} = {divisor}")
 
 
 def main(cfg: DictConfig) -> float:
@@ -58,8 +56,8 @@ def main(cfg: DictConfig) -> float:
         against = {"generation 0": scores["0"], STRONGEST_SCRIPT: scores[STRONGEST_SCRIPT]}
         note_headline(folder, "beats " + ", ".join(f"{name} {rate:.3g}" for name, rate in against.items()))
         # the page shows the first five by name until it is asked for others: the scripts come first
-        shown = {
+        tags = {
             f"{'against' if name in SCRIPTED_PLAYERS else 'generation'}_{name}": rate for name, rate in scores.items()
         }
-        log_final_scores(folder, cfg, shown, card["steps"])
+        log_final_scores(folder, cfg, tags, card["steps"])
     return scores[STRONGEST_SCRIPT]

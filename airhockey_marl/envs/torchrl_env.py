@@ -59,15 +59,12 @@ class AirHockeyEnv(EnvBase):
         self.world.seed(0 if seed is None else seed)
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
-        mask = None
-        if tensordict is not None and "_reset" in tensordict:
-            mask = tensordict["_reset"].view(-1).numpy()
-            self._steps[mask] = 0
-        else:
-            self._steps[:] = 0
+        none = np.zeros(self.world.n, dtype=bool)
+        is_partial = tensordict is not None and "_reset" in tensordict
+        mask = tensordict["_reset"].view(-1).numpy() if is_partial else ~none
+        self._steps[mask] = 0
         self.world.new_rounds(mask)
-        done = np.zeros(self.world.n, dtype=bool)
-        return self._observe(self._flags(done, done))
+        return self._observe(none, none)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         for index, agent in enumerate(AGENTS):
@@ -75,28 +72,23 @@ class AirHockeyEnv(EnvBase):
         self.world.step(self._actions, self.frame_skip)
         self._steps += 1
         terminated = self.world.goals != 0
-        result = self._observe(self._flags(terminated, ~terminated & (self._steps >= self.max_steps)))
+        result = self._observe(terminated, ~terminated & (self._steps >= self.max_steps))
         reward = torch.from_numpy(self.world.goals.astype(np.float32)).view(-1, 1, 1)
         result["left"].set("reward", reward)
         result["right"].set("reward", -reward)
         return result
 
-    def _flags(self, terminated: np.ndarray, truncated: np.ndarray) -> dict[str, torch.Tensor]:
-        flags = {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
-        return {name: torch.from_numpy(flag.copy()).view(-1, 1) for name, flag in flags.items()}
-
-    def _observe(self, flags: dict[str, torch.Tensor]) -> TensorDictBase:
-        n = self.world.n
-        groups = {}
+    def _observe(self, terminated: np.ndarray, truncated: np.ndarray) -> TensorDictBase:
+        n, entries = self.world.n, {}
         for index, agent in enumerate(AGENTS):
             observation = self.world.observe(index, np.empty((n, OBSERVATION_SIZE), dtype=np.float32))
-            groups[agent] = TensorDict({"observation": torch.from_numpy(observation).view(n, 1, -1)}, [n, 1])
-        return TensorDict({**groups, **flags}, [n])
+            entries[agent] = TensorDict({"observation": torch.from_numpy(observation).view(n, 1, -1)}, [n, 1])
+        flags = {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
+        entries |= {name: torch.from_numpy(flag.copy()).view(-1, 1) for name, flag in flags.items()}
+        return TensorDict(entries, [n])
 
 
-def make_env(
-    backend: str, tables: int, round_seconds: float, frame_skip: int, seed: int, table: TableSpec | None = None
-) -> EnvBase:
+def make_env(backend: str, tables: int, round_seconds: float, frame_skip: int, seed: int) -> EnvBase:
     """The environment of a collector: a batch of tables.
 
     Args:
@@ -104,9 +96,9 @@ def make_env(
             with the same trajectories but slower: the way to use another PettingZoo game.
     """
     if backend == "batched":
-        return AirHockeyEnv(tables, round_seconds, frame_skip, table, seed)
+        return AirHockeyEnv(tables, round_seconds, frame_skip, seed=seed)
     if backend == "pettingzoo":
-        makers = [partial(_wrapped, round_seconds, frame_skip, table, seed + i) for i in range(tables)]
+        makers = [partial(_wrapped, round_seconds, frame_skip, seed + i) for i in range(tables)]
         env = SerialEnv(tables, makers)
         env.start()
         return env
@@ -119,10 +111,10 @@ def serve_rng_states(env: EnvBase) -> list[np.ndarray]:
     return [each.world.rng for each in envs]
 
 
-def _wrapped(round_seconds: float, frame_skip: int, table: TableSpec | None, seed: int) -> EnvBase:
+def _wrapped(round_seconds: float, frame_skip: int, seed: int) -> EnvBase:
     with warnings.catch_warnings():  # TorchRL is tested with PettingZoo 1.24.3 only
         warnings.filterwarnings("ignore", message="PettingZoo in TorchRL is tested")
-        game = AirHockey(round_seconds, frame_skip, table)
+        game = AirHockey(round_seconds, frame_skip)
         env = PettingZooWrapper(game, group_map={agent: [agent] for agent in AGENTS}, use_mask=False)
     game.world.seed(seed)  # set_seed would reset, and so draw a serve
     return env

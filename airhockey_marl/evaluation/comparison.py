@@ -141,19 +141,11 @@ def screen_table(results: pd.DataFrame) -> str:
     rates = win_rates(results)
     last = rates[rates["generation"] == rates.groupby(["algorithm", "seed"])["generation"].transform("max")]
     runs = results.groupby(["algorithm", "seed"]).agg({"steps": "max", "seconds": "first"})
-    speeds = runs["steps"] / runs["seconds"]
-    opponents = [*SCRIPTS, GENERATION_0, *algorithms]
-    cells = [["win rate against", "seeds", *opponents, "frames/s"]]
-    for algorithm in algorithms:
-        own = last[last["algorithm"] == algorithm]
-        row = [own.loc[own["opponent"] == opponent, "win_rate"] for opponent in opponents]
-        texts = [
-            "–" if opponent == algorithm else _spread(rate, 2) for opponent, rate in zip(opponents, row, strict=True)
-        ]
-        cells.append([algorithm, str(own["seed"].nunique()), *texts, _spread(speeds[algorithm], 0)])
-    widths = [max(len(row[column]) for row in cells) for column in range(len(cells[0]))]
-    lines = ["  ".join(text.rjust(width) for text, width in zip(row, widths, strict=True)) for row in cells]
-    return "\n".join(lines)
+    others = last[last["algorithm"] != last["opponent"]].groupby(["algorithm", "opponent"])["win_rate"]
+    table = others.agg(_spread, digits=2).unstack().reindex(algorithms, columns=[*SCRIPTS, GENERATION_0, *algorithms])
+    table.insert(0, "seeds", last.groupby("algorithm")["seed"].nunique())
+    table["frames/s"] = (runs["steps"] / runs["seconds"]).groupby("algorithm").agg(_spread, digits=0)
+    return table.fillna("–").rename_axis("win rate against").reset_index().to_string(index=False)
 
 
 def _spread(values: pd.Series, digits: int) -> str:

@@ -9,7 +9,7 @@ import io
 import itertools
 from collections.abc import Sequence
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pandas as pd
@@ -40,12 +40,12 @@ from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.players import rollout, stochastic
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.colors import Colormap
     from matplotlib.figure import Figure
 
 SCRIPT_COLORS = (YELLOW, GREEN, PINK, ORANGE, SKY, GRAY)
 MAX_NUMBERS, MAX_LABELS = 12, 26  # members of a payoff matrix that has numbers in its cells, labels along its sides
-MAX_PANELS = 5  # generations with a panel in `matches_figure`
 ROUND_SECONDS = 60.0  # s, of a film's rounds
 
 
@@ -62,21 +62,28 @@ def loss_to_win() -> Colormap:
     return LinearSegmentedColormap.from_list("loss_to_win", ["#A84300", ORANGE, "#F7F7F7", BLUE, "#004B78"])
 
 
+def _heat_map(width: float, height: float, shares: np.ndarray, label: str, **options: Any) -> tuple[Figure, Axes]:
+    """A figure of win rates (rows, columns) as colors; NaN are gray."""
+    figure = new_figure(width, height)
+    axes = figure.subplots()
+    axes.set_facecolor(LIGHT_GRAY)
+    image = axes.imshow(shares, cmap=loss_to_win(), vmin=0, vmax=1, **options)
+    figure.colorbar(image, ax=axes, shrink=0.75, label=label, ticks=[0, 0.5, 1], format=percent())
+    axes.spines[:].set_visible(False)
+    return figure, axes
+
+
 def payoff_figure(members: Sequence[PlayerId], score: np.ndarray) -> Figure:
     """Heat map of win rates, rows against columns, from `score` (k, k, 3), see `ratings.payoff`."""
     shares, k = win_rates(score), len(members)
     size = min(8.6, 3.6 + 0.32 * k)
-    figure = new_figure(size + 0.9, size)
-    axes = figure.subplots()
-    axes.set_facecolor(LIGHT_GRAY)
-    image = axes.imshow(shares, cmap=loss_to_win(), vmin=0, vmax=1)
-    figure.colorbar(image, ax=axes, shrink=0.75, label="share of decided rounds that the row wins", ticks=[0, 0.5, 1])
+    figure, axes = _heat_map(size + 0.9, size, shares, "decided rounds that the row wins")
     generations = sum(not isinstance(member, str) for member in members)
     every = -(-generations // MAX_LABELS)
-    shown = [*range(0, generations - every, max(every, 1)), *range(max(generations - 1, 0), k)]
-    labels = [str(members[i]) for i in shown]
-    axes.set_xticks(shown, labels, rotation=90 if any(len(label) > 3 for label in labels) else 0)
-    axes.set_yticks(shown, labels)
+    ticks = [*range(0, generations - every, max(every, 1)), *range(max(generations - 1, 0), k)]
+    labels = [str(members[i]) for i in ticks]
+    axes.set_xticks(ticks, labels, rotation=90 if any(len(label) > 3 for label in labels) else 0)
+    axes.set_yticks(ticks, labels)
     axes.tick_params(labelsize=9 if k <= 16 else 8, length=2)
     axes.set_xlabel("against generation (or script)")
     axes.set_ylabel("generation (or script)")
@@ -89,7 +96,6 @@ def payoff_figure(members: Sequence[PlayerId], score: np.ndarray) -> Figure:
             color = "white" if abs(share - 0.5) > 0.22 else INK
             text = f"{share:.2f}".removeprefix("0").replace("1.00", "1")
             axes.text(column, row, text, ha="center", va="center", fontsize=9, color=color)
-    axes.spines[:].set_visible(False)
     return figure
 
 
@@ -103,19 +109,12 @@ def rating_figure(ratings: pd.DataFrame, matches: pd.DataFrame | None = None) ->
     learned, scripted = _split_members(ratings)
     generation = learned["member"].astype(int)
     if matches is not None:
-        kept, _ = _split_members(matches)
+        training, _ = _split_members(matches)
         style = {"color": GRAY, "linewidth": 1.1, "label": "from the matches kept during training"}
-        axes.plot(kept["member"].astype(int), kept["rating"], **style)
+        axes.plot(training["member"].astype(int), training["rating"], **style)
     axes.fill_between(generation, learned["low"], learned["high"], color=BLUE, alpha=0.18, linewidth=0)
-    axes.plot(
-        generation,
-        learned["rating"],
-        color=BLUE,
-        marker="o",
-        markersize=4,
-        linewidth=1.6,
-        label="from the payoff matrix",
-    )
+    style = {"color": BLUE, "marker": "o", "markersize": 4, "linewidth": 1.6, "label": "from the payoff matrix"}
+    axes.plot(generation, learned["rating"], **style)
     for row, color in zip(scripted.itertuples(), itertools.cycle(SCRIPT_COLORS), strict=False):
         axes.axhline(row.rating, color=color, linewidth=1.4, linestyle="--")
         axes.axhspan(row.low, row.high, color=color, alpha=0.12, linewidth=0)
@@ -129,34 +128,6 @@ def rating_figure(ratings: pd.DataFrame, matches: pd.DataFrame | None = None) ->
     return figure
 
 
-def matches_figure(matches: pd.DataFrame, window: int = 5) -> Figure:
-    """Win rate of each generation, when it was the newest, against others: raw, and smoothed over `window` of them."""
-    generations = sorted({m for m in matches["opponent"] if not isinstance(m, str)})
-    few = np.linspace(0, len(generations) - 1, min(MAX_PANELS, len(generations))).round().astype(int)
-    opponents = [*(generations[i] for i in few), *sorted({m for m in matches["opponent"] if isinstance(m, str)})]
-    columns = min(4, len(opponents))
-    rows = -(-len(opponents) // columns)
-    figure = new_figure(9.2, 0.6 + 2.0 * rows)
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes, opponent in zip(panels.flat, opponents, strict=False):
-        rounds = matches[matches["opponent"] == opponent].groupby("generation")[["won", "lost"]].sum()
-        smooth = rounds.rolling(window, center=True, min_periods=1).sum()
-        raw, running = (sums["won"] / (sums["won"] + sums["lost"]) for sums in (rounds, smooth))
-        axes.axhline(0.5, color=GRAY, linewidth=0.8)
-        axes.plot(raw.index, raw, color=BLUE, marker="o", markersize=2.2, linewidth=0, alpha=0.45)
-        axes.plot(running.index, running, color=BLUE, linewidth=1.8)
-        axes.set_title(f"against {member_label(opponent)}", fontsize=10)
-        axes.set_ylim(-0.02, 1.02)
-        axes.yaxis.set_major_formatter(percent())
-        style_axes(axes)
-    for place, axes in enumerate(panels.flat):
-        axes.set_visible(place < len(opponents))
-        axes.tick_params(labelbottom=place + columns >= len(opponents))  # the lowest panel of its column
-    figure.supxlabel("generation", fontsize=10)
-    figure.supylabel("decided rounds won", fontsize=10)
-    return figure
-
-
 def win_rates_figure(matches: pd.DataFrame) -> Figure:
     """Heat map of win rates: a column per generation, when it was the newest, and a row per opponent."""
     from matplotlib.ticker import MaxNLocator
@@ -167,20 +138,15 @@ def win_rates_figure(matches: pd.DataFrame) -> Figure:
     shares = np.full((k, last - first + 1), np.nan)  # NaN: not played, or no round decided
     for row in matches[matches["won"] + matches["lost"] > 0].itertuples():
         shares[opponents.index(row.opponent), row.generation - first] = row.won / (row.won + row.lost)
-    figure = new_figure(4.6, 1.2 + 0.2 * k)  # small: a card of TensorBoard is 350 px wide
-    axes = figure.subplots()
-    axes.set_facecolor(LIGHT_GRAY)
-    ends = (first - 0.5, last + 0.5, k - 0.5, -0.5)
-    image = axes.imshow(shares, cmap=loss_to_win(), vmin=0, vmax=1, extent=ends, aspect="auto", interpolation="nearest")
-    scale = {"ticks": [0, 0.5, 1], "format": percent()}
-    figure.colorbar(image, ax=axes, label="decided rounds won", **scale)
+    options = {"extent": (first - 0.5, last + 0.5, k - 0.5, -0.5), "aspect": "auto", "interpolation": "nearest"}
+    # small: a card of TensorBoard is 350 px wide
+    figure, axes = _heat_map(4.6, 1.2 + 0.2 * k, shares, "decided rounds won", **options)
     axes.set_yticks(range(k), map(str, opponents), fontsize=9)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     if 0 < len(scripts) < k:
         axes.axhline(k - len(scripts) - 0.5, color=INK, linewidth=0.9)
     axes.set_xlabel("generation, when it was the newest")
     axes.set_ylabel("against")
-    axes.spines[:].set_visible(False)
     return figure
 
 
@@ -198,10 +164,10 @@ def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndar
     rows = table_of_std.set_index("situation").loc[list(SITUATIONS)]
     places = np.arange(len(rows))
     left.bar(places, rows["std"], width=0.68, color=[BLUE, GREEN, YELLOW, GRAY])
-    known = rows["std"].notna().to_numpy()
+    finite_rows = rows["std"].notna().to_numpy()
     ends = np.abs(rows[["low", "high"]].sub(rows["std"], axis=0).to_numpy().T)
     whiskers = {"fmt": "none", "ecolor": INK, "elinewidth": 1.1, "capsize": 4}
-    left.errorbar(places[known], rows["std"][known], ends[:, known], **whiskers)
+    left.errorbar(places[finite_rows], rows["std"][finite_rows], ends[:, finite_rows], **whiskers)
     left.set_xticks(places, [name.replace(" a ", " a\n").replace("far ", "far\n") for name in SITUATIONS], fontsize=9)
     left.set_ylabel("mean STD, action units")
     left.set_ylim(bottom=0)

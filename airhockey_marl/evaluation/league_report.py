@@ -12,9 +12,8 @@ import numpy as np
 import pandas as pd
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.evaluation import figures
+from airhockey_marl.evaluation import figures, league_metrics, policy_std
 from airhockey_marl.evaluation.league_metrics import (
-    ATTACKER,
     DEFENDER,
     REGRESSION_FROM,
     REGRESSION_REFERENCE,
@@ -22,7 +21,6 @@ from airhockey_marl.evaluation.league_metrics import (
     LeagueMetrics,
     generations_of,
 )
-from airhockey_marl.evaluation.policy_std import FAR, SAVE_SECONDS, STRIKE_SECONDS
 from airhockey_marl.evaluation.ratings import Proportion, RatingDifference
 from airhockey_marl.experiment.files import write_bytes, write_json, write_text
 from airhockey_marl.experiment.html import number, template
@@ -84,7 +82,7 @@ def draw_figures(metrics: LeagueMetrics, matches: pd.DataFrame | None) -> dict[s
         "precision.png": figures.precision_figure(metrics.std, metrics.std_maps, TableSpec()),
     }
     if metrics.training_ratings is not None:
-        drawings["matches.png"] = figures.matches_figure(matches)
+        drawings["matches.png"] = figures.win_rates_figure(matches)
     if metrics.best_response:
         drawings["best_response.png"] = figures.best_response_figure(metrics.best_response)
     return {name: png_bytes(figure) for name, figure in drawings.items()}
@@ -181,7 +179,7 @@ def page(
         points=_points,
         std_difference=_std_difference,
         p=_p_value,
-        named=figures.member_label,
+        label=figures.member_label,
     ).render(
         metrics=metrics,
         last=RatingDifference(*ratings.loc[metrics.last]),
@@ -194,13 +192,8 @@ def page(
         outcome=outcome,
         images={name.partition(".")[0]: base64.b64encode(content).decode() for name, content in pictures.items()},
         std=list(metrics.std.itertuples()),
-        attacker=ATTACKER,
-        defender=DEFENDER,
-        regression_from=REGRESSION_FROM,
-        regression_reference=REGRESSION_REFERENCE,
-        save_seconds=SAVE_SECONDS,
-        strike_seconds=STRIKE_SECONDS,
-        far=FAR,
+        league_metrics=league_metrics,
+        policy_std=policy_std,
         config=asdict(config),
         card=card,
     )

@@ -214,10 +214,10 @@ def run(module: str, argv: Sequence[str] | None = None) -> None:
         _fail(str(error), 2)
     wants_trace = os.environ.get("HYDRA_FULL_ERROR") == "1"
     arguments += also_search(command.conf)
-    held, _terminal, typed = io.StringIO(), sys.stderr, sys.argv
+    stderr, _terminal, argv_before = io.StringIO(), sys.stderr, sys.argv
     try:
         # Hydra then raises what it would print over many lines; and says on standard error what failed
-        with redirect_stderr(held), env_override({"HYDRA_FULL_ERROR": "1"}):
+        with redirect_stderr(stderr), env_override({"HYDRA_FULL_ERROR": "1"}):
             sys.argv = [sys.argv[0], *arguments]
             hydra.main(version_base="1.3", config_path=str(command.conf), config_name=command.name)(command)()
     except Exception as error:
@@ -235,8 +235,8 @@ def run(module: str, argv: Sequence[str] | None = None) -> None:
             _fail(stop.code, 2)
         raise
     finally:
-        sys.argv, _terminal = typed, None
-    sys.stderr.write(held.getvalue())
+        sys.argv, _terminal = argv_before, None
+    sys.stderr.write(stderr.getvalue())
 
 
 @contextmanager
@@ -327,9 +327,9 @@ def _is_writable(folder: Path) -> bool:
 
 def _load_plugins(arguments: Sequence[str]) -> list[str]:
     """Load the plug-ins that are installed or that arguments name, --plugin=module; the other arguments."""
-    named = [argument.partition("=")[2] for argument in arguments if argument.startswith("--plugin=")]
-    if named:
-        os.environ[ENVIRONMENT] = ",".join(filter(None, [os.environ.get(ENVIRONMENT), *named]))
+    plugins = [argument.partition("=")[2] for argument in arguments if argument.startswith("--plugin=")]
+    if plugins:
+        os.environ[ENVIRONMENT] = ",".join(filter(None, [os.environ.get(ENVIRONMENT), *plugins]))
     with report_input_errors():
         load_plugins()
     return [argument for argument in arguments if not argument.startswith("--plugin=")]

@@ -98,9 +98,9 @@ def check_overrides(conf: Path, name: str, arguments: Sequence[str]) -> list[str
     typed = {override.input_line: _quote_text(override, cfg) for override in keys}
     for override in typed.values():
         _check_key(override, tree, [*own])
-    given = {override.key_or_group for override in keys}
+    set_keys = {override.key_or_group for override in keys}
     for key, value in flatten_settings({key: value for key, value in tree.items() if key != "hydra"}).items():
-        if value == "???" and not any(key == one or key.startswith(f"{one}.") for one in given):
+        if value == "???" and not any(key == one or key.startswith(f"{one}.") for one in set_keys):
             raise InputError(f"{key} must be chosen: {key}=...")
     return [typed[argument].input_line if argument in typed else argument for argument in arguments]
 
@@ -182,7 +182,7 @@ def _shown(value: Any) -> str:
 
 def _check_key(override: Override, tree: Mapping[str, Any], groups: Sequence[str]) -> None:
     """Raise unless the key is in the tree of the command's configuration, and its value of the kind that is there."""
-    key, node, found = override.key_or_group, tree, []
+    key, node, path = override.key_or_group, tree, []
     parts = key.replace("[", ".").replace("]", "").split(".")
     for depth, part in enumerate(parts):
         siblings = node if isinstance(node, dict) else dict(enumerate(node)) if isinstance(node, list) else {}
@@ -190,13 +190,13 @@ def _check_key(override: Override, tree: Mapping[str, Any], groups: Sequence[str
         if part not in siblings:
             if depth and depth == len(parts) - 1 and override.is_add() and isinstance(node, dict):
                 return  # a new entry of a table
-            near = get_close_matches(str(part), [*map(str, siblings), *([] if found else groups)], 1)
+            near = get_close_matches(str(part), [*map(str, siblings), *([] if path else groups)], 1)
             same_name = [name for name in flatten_settings(tree) if name.split(".")[-1] == parts[-1]]
-            near = [".".join([*found, *near])] if near else same_name
+            near = [".".join([*path, *near])] if near else same_name
             hint = f"; did you mean {near[0]}?" if near else "; --help lists those there are"
             raise InputError(f"{override.input_line.lstrip('+~').replace('=', ' = ', 1)}: no such key{hint}")
         node = siblings[part]
-        found.append(str(part))
+        path.append(str(part))
     if override.is_delete():
         if len(parts) == 1:
             raise InputError(f"{override.input_line}: {key} cannot be left out")

@@ -36,10 +36,9 @@ def parallel_for(kernel: Callable[..., None], rows: np.ndarray, *arguments: obje
     import numpy as np
 
     first, *others = np.array_split(rows, n_chunks)
-    futures = [_pool(threads).submit(kernel, chunk, *arguments) for chunk in others]
+    results = _pool(threads).map(lambda chunk: kernel(chunk, *arguments), others)
     kernel(first, *arguments)
-    for future in futures:
-        future.result()
+    list(results)  # waits for them, and raises what they raised
 
 
 @cache

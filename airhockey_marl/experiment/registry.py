@@ -167,22 +167,21 @@ def load_plugins() -> None:
     Raises:
         ValueError: a plug-in cannot be imported; names it, and why.
     """
-    named = [name.strip() for name in os.environ.get(ENVIRONMENT, "").split(",") if name.strip()]
-    modules = {name: ENVIRONMENT for name in named}
+    names = [name.strip() for name in os.environ.get(ENVIRONMENT, "").split(",") if name.strip()]
+    modules = {name: ENVIRONMENT for name in names}
     modules |= {point.module: f"entry point {point.name}" for point in entry_points(group=ENTRY_POINTS)}
     new = [name for name in modules if name not in _loaded]
     if not new:
         return
-    before = [set(registry._entries) for registry in _registries]
     _loaded.update(new)  # first: a plug-in may ask a registry what there is
     for name in new:
         try:
             import_module(name)
         except Exception as error:
             raise ValueError(f"plug-in {name} ({modules[name]}): {type(error).__name__}: {error}") from error
-    for registry, known in zip(_registries, [*before, *[set()] * (len(_registries) - len(before))], strict=True):
-        for name in set(registry._entries) - known - set(registry._builtin):
-            if registry.group is not None:
+    for registry in _registries:
+        if registry.group is not None:
+            for name in set(registry._entries) - set(registry._builtin):
                 from hydra.core.config_store import ConfigStore  # only where there are plug-ins
 
                 node = {registry.key: name, **_defaults(registry._entries[name])}

@@ -106,14 +106,14 @@ def read_run(folder: Path) -> RunRecord:
 
 def runs_below(outputs: Path) -> list[RunRecord]:
     """Every run below a folder, by its .hydra/ or its run.json; what links lead to is not looked at."""
-    found = []
+    runs = []
     for place, folders, files in os.walk(outputs, followlinks=False):
         folder = Path(place)
         if RECORD in files or (".hydra" in folders and (folder / ".hydra" / "config.yaml").is_file()):
             run = read_run(folder)
-            found.append(run if run.command else RunRecord(folder, "?"))
+            runs.append(run if run.command else RunRecord(folder, "?"))
         folders[:] = sorted(name for name in folders if not name.startswith("."))
-    return found
+    return runs
 
 
 class RunRecorder(Callback):
@@ -213,9 +213,9 @@ def files_at_risk(folder: Path) -> str | None:
         return "a run that is running"
     if run.state in ("failed", "interrupted") or not (folder / ".hydra").is_dir():
         return None
-    kept = [path.name for path in folder.iterdir() if not path.name.startswith(".") and path.suffix != ".log"]
-    kept = sorted({*kept} - {RECORD})
-    return f"a run that has left {', '.join(kept[:3])}" if kept else None
+    names = [path.name for path in folder.iterdir() if not path.name.startswith(".") and path.suffix != ".log"]
+    names = sorted({*names} - {RECORD})
+    return f"a run that has left {', '.join(names[:3])}" if names else None
 
 
 def _require_free(folder: Path, key: str) -> None:

@@ -30,17 +30,16 @@ def check_counts(least: int = 1, /, **values: int) -> None:
             raise ValueError(f"{name} = {value!r} must be a whole number of at least {least}")
 
 
-def check_numbers(least: float = -inf, *, above: float = -inf, at_most: float = inf, **values: float) -> None:
-    """Raise a ValueError if a value is not a finite number >= `least`, > `above` and <= `at_most`."""
+def check_numbers(
+    least: float = -inf, *, above: float = -inf, at_most: float = inf, below: float = inf, **values: float
+) -> None:
+    """Raise a ValueError if a value is not a finite number >= `least`, > `above`, <= `at_most` and < `below`."""
     for name, value in values.items():
         number = isinstance(value, Real) and not isinstance(value, bool) and isfinite(value)
-        if not number or not (least <= value <= at_most and value > above):
-            bounds = [
-                f"{words} {bound:g}"
-                for words, bound in (("of at least", least), ("above", above), ("at most", at_most))
-                if isfinite(bound)
-            ]
-            raise ValueError(f"{name} = {value!r} must be a finite number {' and '.join(bounds)}".rstrip())
+        if not number or not (least <= value <= at_most and above < value < below):
+            bounds = {"of at least": least, "above": above, "at most": at_most, "below": below}
+            allowed = " and ".join(f"{words} {bound:g}" for words, bound in bounds.items() if isfinite(bound))
+            raise ValueError(f"{name} = {value!r} must be a finite number {allowed}".rstrip())
 
 
 def labeled(settings: Any, label: str, *names: str) -> dict[str, Any]:

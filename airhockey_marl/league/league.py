@@ -150,8 +150,7 @@ class League:
     @classmethod
     def from_stacked_weights(cls, policy: GaussianPolicy, tensors: dict[str, Tensor]) -> "League":
         """The league with the weights that `stacked_weights` returned; a ValueError if they do not fit the policy."""
-        require_weights(policy, {name: tuple(tensor.shape[1:]) for name, tensor in tensors.items()})
-        require_finite(tensors)
+        check_weights(policy, tensors, stacked=True)
         league, counts = cls(policy), {name: len(tensor) if tensor.ndim else 0 for name, tensor in tensors.items()}
         generations = max(counts.values())
         for name, count in counts.items():
@@ -163,19 +162,16 @@ class League:
         return league
 
 
-def require_weights(policy: GaussianPolicy, shapes: Mapping[str, tuple[int, ...]]) -> None:
-    """Raise a ValueError if names or shapes of weights are not those of the policy's parameters."""
+def check_weights(policy: GaussianPolicy, weights: Mapping[str, Tensor], stacked: bool = False) -> None:
+    """Raise a ValueError if weights, `stacked` of several models, are not finite or do not fit the policy."""
     expected = {name: tuple(tensor.shape) for name, tensor in policy.named_parameters()}
+    shapes = {name: tuple(tensor.shape[int(stacked) :]) for name, tensor in weights.items()}
     for name in sorted(set(expected) | set(shapes)):
         if expected.get(name) != shapes.get(name):
             raise ValueError(
                 f"{name} is {shapes.get(name, 'missing')}, the model has {expected.get(name, 'no such tensor')}"
             )
-
-
-def require_finite(tensors: Mapping[str, Tensor]) -> None:
-    """Raise a ValueError if a tensor is not floating point or has a value that is not finite."""
-    for name, tensor in sorted(tensors.items()):
+    for name, tensor in sorted(weights.items()):
         if not tensor.is_floating_point():
             raise ValueError(f"{name} is {tensor.dtype}, must be floating point")
         if not tensor.isfinite().all():

@@ -57,9 +57,7 @@ class DeltaUniform:
     delta: float
 
     def __post_init__(self) -> None:
-        check_numbers(0.0, delta=self.delta)
-        if not self.delta < 1:
-            raise ValueError(f"delta = {self.delta} must be at least 0 and below 1")
+        check_numbers(0.0, below=1.0, delta=self.delta)
 
     def probabilities(self, statistics: PoolStatistics) -> np.ndarray:
         generations = statistics.generations

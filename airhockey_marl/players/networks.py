@@ -46,8 +46,8 @@ def check_hidden(hidden: Any, name: str = "hidden") -> None:
     """Raise a ValueError if `hidden` is no sequence of layer sizes, or makes more than `MAX_WEIGHTS` weights."""
     sized = isinstance(hidden, Sequence) and not isinstance(hidden, str) and len(hidden) > 0
     if not sized or not all(isinstance(size, int) and not isinstance(size, bool) and size >= 1 for size in hidden):
-        shown = tuple(hidden) if isinstance(hidden, Sequence) and not isinstance(hidden, str) else hidden
-        raise ValueError(f"{name} = {shown!r} must name at least one layer, each of at least 1 unit")
+        sizes = tuple(hidden) if isinstance(hidden, Sequence) and not isinstance(hidden, str) else hidden
+        raise ValueError(f"{name} = {sizes!r} must name at least one layer, each of at least 1 unit")
     weights = sum(a * b for a, b in itertools.pairwise((12, *hidden, 4)))
     if weights > MAX_WEIGHTS:
         raise ValueError(f"{name} = {tuple(hidden)} makes {weights} weights, must be at most {MAX_WEIGHTS}")

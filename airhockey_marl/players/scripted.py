@@ -13,6 +13,7 @@ less well.
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from math import copysign, hypot
 
 import numpy as np
@@ -188,15 +189,10 @@ def _stay(observation, actions, table):
 
 
 @njit(cache=True)
-def _defend(observation, actions, table):
+def _play(observation, actions, table, strikes):
     for index in range(len(observation)):
-        _write_action(_defender(observation[index], table), actions[index], table)
-
-
-@njit(cache=True)
-def _attack(observation, actions, table):
-    for index in range(len(observation)):
-        _write_action(_striker(observation[index], table), actions[index], table)
+        position = _striker(observation[index], table) if strikes else _defender(observation[index], table)
+        _write_action(position, actions[index], table)
 
 
 @dataclass(frozen=True)
@@ -225,5 +221,5 @@ class ScriptedPlayer:
 REFERENCE_PLAYERS = ("random", "defender", "striker")  # every league is measured against these
 SCRIPTED_PLAYERS: Registry[ScriptedPlayer] = Registry("scripted player")
 SCRIPTED_PLAYERS.register("random")(ScriptedPlayer(_stay, UNTRAINED_STD))
-SCRIPTED_PLAYERS.register("defender")(ScriptedPlayer(_defend, TREMOR_STD))
-SCRIPTED_PLAYERS.register("striker")(ScriptedPlayer(_attack, TREMOR_STD))
+SCRIPTED_PLAYERS.register("defender")(ScriptedPlayer(partial(_play, strikes=False), TREMOR_STD))
+SCRIPTED_PLAYERS.register("striker")(ScriptedPlayer(partial(_play, strikes=True), TREMOR_STD))

@@ -17,6 +17,7 @@ from torchrl.envs import EnvBase
 
 from airhockey_marl.envs.torchrl_env import make_env, serve_rng_states
 from airhockey_marl.experiment.parallel import LOCAL_CLUSTER, join_ray_cluster
+from airhockey_marl.experiment.validation import check_counts, labeled
 from airhockey_marl.league.league import OpponentBatch, TableSlice
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.self_play.two_player_policy import TwoPlayerPolicy
@@ -42,8 +43,7 @@ class CollectorConfig:
     def __post_init__(self) -> None:
         if self.kind not in KINDS:
             raise ValueError(f"collector.kind = {self.kind!r} must be one of {', '.join(KINDS)}")
-        if isinstance(self.workers, bool) or not isinstance(self.workers, int) or self.workers < 1:
-            raise ValueError(f"collector.workers = {self.workers!r} must be a whole number, at least 1")
+        check_counts(**labeled(self, "collector", "workers"))
         if self.kind == SINGLE and self.workers != 1:
             raise ValueError(f"collector.workers = {self.workers} must be 1 where collector.kind = {SINGLE}")
         if not isinstance(self.address, str) or not self.address:
@@ -106,35 +106,32 @@ class RolloutWorkers:
         policies = [partial(_make_policy, policy.architecture, part, torch.get_rng_state()) for part in self.slices]
         # `load_weights` sends weights and waits for their arrival; the collectors' own ways do not
         warnings.filterwarnings("ignore", message=".*weight", category=UserWarning, module=r"torchrl\.collectors")
+        # its `map_fn` calls a method of the `TableCollector` of every worker
         self.collector = _COLLECTOR_FACTORIES[config.kind](config, envs, policies, batch)
         self.rollouts: Iterator[TensorDictBase] = iter(self.collector)
-        self.rng_states = np.concatenate(self._call_workers("table_rng_states"))
-        torch.set_rng_state(self._call_workers("torch_rng_state")[0])
+        self.rng_states = np.concatenate(self.collector.map_fn("table_rng_states"))
+        torch.set_rng_state(self.collector.map_fn("torch_rng_state")[0])
 
     def start_rounds(self, opponents: OpponentBatch) -> None:
         """Start new rounds against these opponents, serving from `rng_states`."""
         slices = [opponents.slice(tables) for tables in self.slices]
         rng_states = np.split(self.rng_states, self.workers)
-        self._call_workers("start_rounds", list(zip(slices, rng_states, strict=True)))
+        self.collector.map_fn("start_rounds", list(zip(slices, rng_states, strict=True)))
 
     def rollout(self, weights: Mapping[str, Tensor]) -> TensorDictBase:
         """The next batch of steps, (tables, steps), played by a learner with these weights."""
-        self._call_workers("load_weights", [(weights, torch.get_rng_state())] * self.workers)
+        self.collector.map_fn("load_weights", [(weights, torch.get_rng_state())] * self.workers)
         data = next(self.rollouts)
-        torch.set_rng_state(self._call_workers("torch_rng_state")[0])  # the workers drew equally many numbers
+        torch.set_rng_state(self.collector.map_fn("torch_rng_state")[0])  # the workers drew equally many numbers
         return data.flatten(0, 1) if data.ndim == 3 else data
 
     def save_rng_states(self) -> None:
         """Update `rng_states` from the workers."""
-        self.rng_states[:] = np.concatenate(self._call_workers("table_rng_states"))
+        self.rng_states[:] = np.concatenate(self.collector.map_fn("table_rng_states"))
 
     def close(self) -> None:
         """Shut the workers down."""
         self.collector.shutdown()
-
-    def _call_workers(self, method: str, arguments: list[tuple] | None = None) -> list:
-        """Call a method of the `TableCollector` of every worker; returns their results."""
-        return self.collector.map_fn(method, arguments)
 
 
 def _make_policy(architecture: Mapping[str, Any], tables: TableSlice, torch_rng_state: Tensor) -> TwoPlayerPolicy:

@@ -18,18 +18,16 @@ class GaussianSampling(nn.Module):
     Cheaper than a `ProbabilisticActor`: the algorithms compute log-probabilities later, for a whole batch at a time.
 
     Args:
-        tables: the tables of the observations; None for all tables. Noise is drawn for all tables and that of the
-            others is discarded, so that the noise at a table does not depend on the number of workers.
+        tables: the tables of the observations. Noise is drawn for all tables and that of the others is discarded, so
+            that the noise at a table does not depend on the number of workers.
     """
 
-    def __init__(self, policy: nn.Module, tables: TableSlice | None = None) -> None:
+    def __init__(self, policy: nn.Module, tables: TableSlice) -> None:
         super().__init__()
         self.policy, self.tables = policy, tables
 
     def forward(self, observation: Tensor) -> Tensor:
         mean, std = self.policy(observation)
-        if self.tables is None:
-            return mean + std * torch.randn_like(mean)
         noise = torch.randn(self.tables.total, *mean.shape[1:], dtype=mean.dtype)
         return mean + std * noise[self.tables.first : self.tables.last]
 

@@ -38,21 +38,13 @@ def check(cfg: DictConfig) -> None:
 
 
 def main(cfg: DictConfig) -> None:
-    """Calibrate, and write down the values and what they rest on."""
     import numpy as np
 
     from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.league.league import League
     from airhockey_marl.players.inference import greedy_player
     from guidance.simulated_users import SimulatedUsers, load_advisors, load_population, training_people
-    from guidance.study.calibration import (
-        lookahead_win_rate,
-        max_stable_stiffness,
-        predicted_std,
-        select_opponent,
-        target_lead,
-        threshold,
-    )
+    from guidance.study import calibration
     from guidance.study.games import Games, no_force, play_games
     from guidance.study.protocol import Protocol, user_and_table_states
     from guidance.study.setup import load_models
@@ -84,31 +76,27 @@ def main(cfg: DictConfig) -> None:
             "round_seconds": round(float(games.seconds.sum() / games.rounds.sum()), 1),
         }
         progress("opponents", (i + 1) / len(candidates))
-    opponent = cfg.opponent if cfg.opponent is not None else select_opponent(trials, cfg.win_rate, cfg.round_seconds)
+    opponent = cfg.opponent
+    if opponent is None:
+        opponent = calibration.select_opponent(trials, cfg.win_rate, cfg.round_seconds)
 
     progress("thresholds", 0.0)
     states = play(opponent, THRESHOLD_TRIAL, demonstrations=True).demonstrations
     thresholds = {
-        name: threshold(std, cfg.w_unc[name], cfg.low_over_high)
-        for name, std in predicted_std(models, states, cfg.games, cfg.guidance.lookahead).items()
+        name: calibration.threshold(std, cfg.w_unc[name], cfg.low_over_high)
+        for name, std in calibration.predicted_std(models, states, cfg.games, cfg.guidance.lookahead).items()
     }
     progress("thresholds", 1.0)
     progress.close()
-    leads = {
-        seconds: target_lead(models, states, cfg.games, seconds)
-        for seconds in sorted({*cfg.stability.lookaheads, cfg.guidance.lookahead})
-    }
     damping = people["stiffness"] * people["damping_time"] + people["device_damping"]
-    stable = {
-        seconds: {
+    player, stable = greedy_player(league.player(opponent)), {}
+    for seconds in sorted({*cfg.stability.lookaheads, cfg.guidance.lookahead}):
+        lead = calibration.target_lead(models, states, cfg.games, seconds)
+        stable[seconds] = {
             "lead": round(float(lead.mean()), 4),
-            "stiffness": max_stable_stiffness(lead, damping, **cfg.stability.rule),
-            "optimal_wins": round(
-                lookahead_win_rate(models, greedy_player(league.player(opponent)), seconds, cfg.seed), 3
-            ),
+            "stiffness": calibration.max_stable_stiffness(lead, damping, **cfg.stability.rule),
+            "optimal_wins": round(calibration.lookahead_win_rate(models, player, seconds, cfg.seed), 3),
         }
-        for seconds, lead in leads.items()
-    }
     values = {
         "opponent": opponent,
         "stiffness": stable[cfg.guidance.lookahead]["stiffness"],

@@ -35,13 +35,12 @@ def check(cfg: DictConfig) -> None:
 
 
 def main(cfg: DictConfig) -> None:
-    """Have people play, and write the data set."""
     from guidance.simulated_users import load_population, sample_people, training_people
     from guidance.study.demonstrations import collect_demonstrations
     from guidance.study.setup import load_play_setup
     from guidance.user_model import dataset
 
-    folder, began = output_folder(cfg), time.perf_counter()
+    folder, start = output_folder(cfg), time.perf_counter()
     with report_input_errors():
         setup = load_play_setup(cfg)
         if (folder / dataset.TENSORS).exists():
@@ -62,7 +61,7 @@ def main(cfg: DictConfig) -> None:
     users = rows[["user", "archetype"]].join(dataset.summary(data, table).round(4)).to_dict("records")
     sizes = dict(zip(("users", "games", "ticks"), data.action.shape[:3], strict=True))
     content = card(cfg, folder, sizes | {"tick_s": table.tick}, users)
-    write_json(folder / dataset.CARD, content | card_facts(cfg, time.perf_counter() - began))
+    write_json(folder / dataset.CARD, content | card_facts(cfg, time.perf_counter() - start))
     print(f"{data.action.shape[:3].numel()} ticks of {len(people)} simulated people: {folder}")
 
 

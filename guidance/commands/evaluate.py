@@ -16,7 +16,7 @@ import time
 
 from omegaconf import DictConfig
 
-from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
+from airhockey_marl.experiment.command import report_input_errors, require_counts
 from airhockey_marl.experiment.files import write_json, write_text
 from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.experiment.run_folder import command_line, note_headline, output_folder
@@ -24,11 +24,9 @@ from airhockey_marl.experiment.run_folder import command_line, note_headline, ou
 
 def check(cfg: DictConfig) -> None:
     require_counts(cfg, "participants")
-    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
 
 
 def main(cfg: DictConfig) -> None:
-    """Play the study, test it, and write its report."""
     from guidance.forces.condition_specs import PAPER_LETTERS
     from guidance.simulated_users import load_population, sample_people
     from guidance.simulated_users.ratings import RATINGS
@@ -39,7 +37,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.study.setup import file_hashes, load_setup, manifest
     from guidance.study.study import run_study
 
-    began = time.perf_counter()
+    start = time.perf_counter()
     with report_input_errors():
         setup = load_setup(cfg)
         people = sample_people(cfg.participants, cfg.seed, load_population(cfg.users))
@@ -54,7 +52,7 @@ def main(cfg: DictConfig) -> None:
     progress.close()
     folder = output_folder(cfg)
     write_text(folder / "trials.csv", trials.to_csv(index=False))
-    facts = manifest(cfg, file_hashes(cfg, setup.models), command_line(), time.perf_counter() - began)
+    facts = manifest(cfg, file_hashes(cfg, setup.models), command_line(), time.perf_counter() - start)
     write_json(folder / "manifest.json", facts)
     group = write_report(trials, folder, facts)
     log_study(cfg, folder, group, histograms)

@@ -45,7 +45,6 @@ OF_A_SESSION = ("participant", "withdraw", "records", "window", "fullscreen", "w
 
 def check(cfg: DictConfig) -> None:
     require_counts(cfg, "participants", "frames_per_second")
-    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "breath", least=0.0, at_most=10.0)
     if not cfg.window and cfg.device.kind != "simulated":
         raise InputError(f"window = false must be true for device = {cfg.device.kind}: somebody looks at it")
@@ -92,7 +91,6 @@ def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
 
 
 def main(cfg: DictConfig) -> None:
-    """Hold a session with one person, or delete what there is of them."""
     from airhockey_marl.envs.physics import TableSpec
     from guidance.display.window import MIN_WIDTH, Window
     from guidance.haptics.open_device import DEVICES, device_session
@@ -123,24 +121,24 @@ def main(cfg: DictConfig) -> None:
     participant = None
     with suppress(Quit), ExitStack() as room:
         room.enter_context(quit_on_signals())  # until the records are closed
-        window = opened = simulated = None
+        window = open_device = simulated = None
         if cfg.window:
             screen = Window("Air hockey", TableSpec(), cfg.width, cfg.frames_per_second, clock, KEYS, shows_force=False)
             window = room.enter_context(screen)
         if cfg.device.kind != "simulated":  # nobody is enrolled, and no study begun, before there is something to hold
-            opened = room.enter_context(device_session(device, limits))
+            open_device = room.enter_context(device_session(device, limits))
         with report_input_errors():
             records = room.enter_context(Records(cfg.records, facts))
         participant = enrolled(records, cfg)
         room.callback(dismiss, records, participant)
-        if opened is None:
+        if open_device is None:
             simulated = SimulatedParticipant(people, participant.place, cfg.seed, cfg.users)
-            opened = room.enter_context(device_session(device, limits, simulated.users))
+            open_device = room.enter_context(device_session(device, limits, simulated.users))
         seat = RealTimePlayer(
-            opened.hand, window or NullDisplay(), clock, TableSpec().tick, cfg.breath if cfg.window else 0.0
+            open_device.hand, window or NullDisplay(), clock, TableSpec().tick, cfg.breath if cfg.window else 0.0
         )
         if window is not None:
-            window.on_pointer, window.on_disconnect = opened.on_pointer, opened.on_disconnect
+            window.on_pointer, window.on_disconnect = open_device.on_pointer, open_device.on_disconnect
             if cfg.fullscreen:
                 window.toggle_fullscreen()
         events = {"on_game": lambda game: simulated.begin_game(seat, game)} if simulated else {}
@@ -149,8 +147,8 @@ def main(cfg: DictConfig) -> None:
     if participant is None or participant.consent is None:
         return
     done = sum(game.ratings is not None for game in participant.games.values())
-    again = "" if done == len(plan.conditions) else f" It goes on with participant={participant.label}."
-    print(f"{participant.label}: {done} of {len(plan.conditions)} games are played and rated.{again}")
+    hint = "" if done == len(plan.conditions) else f" It goes on with participant={participant.label}."
+    print(f"{participant.label}: {done} of {len(plan.conditions)} games are played and rated.{hint}")
     print(f"\nrecords: {records.folder}")
 
 

@@ -59,12 +59,6 @@ def check(cfg: DictConfig) -> None:
 
 def main(cfg: DictConfig) -> float:
     """Train both; for a sweeper, the loss of Eq. 3 after UA on people that the model has not seen."""
-    with lock_run_folder(cfg) as folder:
-        return train(cfg, folder)
-
-
-def train(cfg: DictConfig, folder: Path) -> float:
-    """Have people play, train both models on it, and write them and how they predict others; see `main`."""
     import torch
 
     from airhockey_marl.experiment.tensorboard import log_final_scores
@@ -82,24 +76,25 @@ def train(cfg: DictConfig, folder: Path) -> float:
         play = partial(collect_demonstrations, setup=setup, **cfg.demonstrations)
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
+        people = training_people(cfg.seed, population)
     progress = ProgressBar()
-    people = training_people(cfg.seed, population)
-    data = play(people, seed=cfg.seed, progress=partial(progress, "nine people play"))
-    data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, setup.table))
-    progress.close()
-    seconds = train_both(cfg, folder, meta.to(cfg.compute), user.to(cfg.compute), data.to(cfg.compute))
-    meta.cpu(), user.cpu()
-    others = sample_people(len(data.action), HELD_OUT_SEED, population)
-    unseen = play(others, seed=HELD_OUT_SEED, progress=partial(progress, "nine others play"))
-    with torch.no_grad():
-        scores = unseen_scores(user, meta, cfg.maml.inner_lr, unseen, cfg.ahead, setup.table)
-    progress.close()
-    facts = {"seed": cfg.seed, "ahead_s": cfg.ahead}
-    save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
-    save_user_model(folder / "user.safetensors", user, facts)
-    write_json(folder / "card.json", card(cfg, scores) | card_facts(cfg, seconds))
-    log_final_scores(folder, cfg, scores)
-    note_headline(folder, f"loss after UA {scores['after_ua_loss']:.3g}, error {scores['after_ua_rmse']:.3g}")
+    with lock_run_folder(cfg) as folder:
+        data = play(people, seed=cfg.seed, progress=partial(progress, "nine people play"))
+        data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, setup.table))
+        progress.close()
+        seconds = train_both(cfg, folder, meta.to(cfg.compute), user.to(cfg.compute), data.to(cfg.compute))
+        meta.cpu(), user.cpu()
+        others = sample_people(len(data.action), HELD_OUT_SEED, population)
+        unseen = play(others, seed=HELD_OUT_SEED, progress=partial(progress, "nine others play"))
+        with torch.no_grad():
+            scores = unseen_scores(user, meta, cfg.maml.inner_lr, unseen, cfg.ahead, setup.table)
+        progress.close()
+        facts = {"seed": cfg.seed, "ahead_s": cfg.ahead}
+        save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
+        save_user_model(folder / "user.safetensors", user, facts)
+        write_json(folder / "card.json", card(cfg, scores) | card_facts(cfg, seconds))
+        log_final_scores(folder, cfg, scores)
+        note_headline(folder, f"loss after UA {scores['after_ua_loss']:.3g}, error {scores['after_ua_rmse']:.3g}")
     return scores["after_ua_loss"]
 
 
@@ -127,7 +122,7 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
         with report_input_errors():
             facts = checkpoint.load(folder / STATE_FILE, {"done": dict, "seconds": float})
         done, seconds = facts["done"], facts["seconds"]
-    began = time.perf_counter() - seconds
+    start = time.perf_counter() - seconds
     for name, train in (("maml", train_maml), ("supervised", train_supervised)):
         # What a killed run logged after its last checkpoint is struck out, so no scalar stands twice.
         board = open_writer(tensorboard_dir(folder) / name, done[name] + 1)
@@ -142,7 +137,7 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
                     board.add_scalar(f"{name}/{key}", value, epoch)
                 board.flush()
                 bar.set_postfix({key: f"{value:.3f}" for key, value in metrics.items()})
-                done[name], seconds = epoch, time.perf_counter() - began
+                done[name], seconds = epoch, time.perf_counter() - start
                 checkpoint.save(folder / STATE_FILE, {"done": done, "seconds": seconds})
         board.close()
     return seconds

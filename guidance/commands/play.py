@@ -30,14 +30,12 @@ KEYS = {  # those that choose a condition come before them
 
 def check(cfg: DictConfig) -> None:
     require_counts(cfg, "frames_per_second")
-    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "breath", least=0.0, at_most=10.0)
     if cfg.seconds is not None:
         require_numbers(cfg, "seconds")
 
 
 def main(cfg: DictConfig) -> None:
-    """Open the window and the device, and play."""
     from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.league.league import League
     from guidance.display.window import MIN_WIDTH, Window
@@ -73,11 +71,11 @@ def main(cfg: DictConfig) -> None:
     keys = {key: f"({condition.letter}) {condition.label}" for key, condition in conditions.items()} | KEYS
     with (
         Window("Air hockey", table, cfg.width, cfg.frames_per_second, clock, keys) as window,
-        device_session(device, limits, person) as opened,
+        device_session(device, limits, person) as open_device,
     ):
         window.overlay = cfg.overlay
-        window.on_pointer, window.on_disconnect = opened.on_pointer, opened.on_disconnect
-        seat = RealTimePlayer(opened.hand, window, clock, table.tick, cfg.breath, person)
+        window.on_pointer, window.on_disconnect = open_device.on_pointer, open_device.on_disconnect
+        seat = RealTimePlayer(open_device.hand, window, clock, table.tick, cfg.breath, person)
         times = cfg.guidance.lookahead, protocol.round_seconds
         play = FreePlay(conditions, models, opponents, cfg.opponent, *times, seat, serves, folder)
         with quit_on_signals():

@@ -40,7 +40,6 @@ def check(cfg: DictConfig) -> None:
 
 
 def main(cfg: DictConfig) -> None:
-    """Have people play, predict them, and write the report."""
     import numpy as np
 
     from airhockey_marl.envs.physics import TableSpec
@@ -86,7 +85,7 @@ def write(folder: Path, results: Mapping, facts: Mapping) -> None:
         draw(results, NAMES, folder / f"{name}.png")
         images[name] = base64.b64encode((folder / f"{name}.png").read_bytes()).decode("ascii")
     page = template(Path(__file__).parents[1] / "statistics" / "templates", "prediction_report.html")
-    write_text(folder / "prediction_report.html", page.render(found=results, facts=facts, names=NAMES, images=images))
+    write_text(folder / "prediction_report.html", page.render(results=results, facts=facts, names=NAMES, images=images))
     print(f"{'error ahead of time (units of action)':42}" + "".join(f"{s:>14g} s" for s in facts["config"]["ahead"]))
     for name, label in NAMES.items():
         rows = [row["rmse"] for row in results["ahead"] if row["predictor"] == name]

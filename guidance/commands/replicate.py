@@ -32,7 +32,6 @@ STATE_FILE = "manifest.json"  # written when a run begins
 
 
 def main(cfg: DictConfig) -> None:
-    """Play the studies that are missing, and write the report."""
     import pandas as pd
 
     from guidance.simulated_users.force_response import check_variant
@@ -52,13 +51,13 @@ def main(cfg: DictConfig) -> None:
         facts |= command_history(cfg)
         write_json(folder / STATE_FILE, facts)
         write_text(folder / "factors.csv", studies.factors.to_csv(index_label="study"))
-        progress, began = ProgressBar(), time.perf_counter()
+        progress, start = ProgressBar(), time.perf_counter()
         missing = [batch for batch in batches_of(cfg) if not batch.file(folder).is_file()]
         results = on_ray(cfg, missing, progress) if cfg.ray else one_by_one(studies, missing, progress)
         for batch, trials in results:
             write_text(batch.file(folder), trials.to_csv(index=False))
         progress.close()
-        write_json(folder / STATE_FILE, facts | {"seconds": round(time.perf_counter() - began, 1)})
+        write_json(folder / STATE_FILE, facts | {"seconds": round(time.perf_counter() - start, 1)})
         print(summarize(folder, cfg, facts, studies.factors))
         outcomes = pd.read_csv(folder / "studies.csv")
         own = outcomes.loc[outcomes["group"] == "replicates", "replicated"]
@@ -71,7 +70,6 @@ def check(cfg: DictConfig) -> None:
     require_counts(cfg, "together")
     require_counts(cfg, "participants", least=3)  # fewer cannot be tested
     require_counts(cfg, "n", "controls", "sensitivity.points", least=0)
-    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "sensitivity.largest", above=1.0)
     if not cfg.n and not (cfg.sensitivity.points and cfg.sensitivity.variants):
         raise InputError("n = 0 must be at least 1 where sensitivity.points is 0: there is nothing to do")

@@ -13,7 +13,6 @@ from airhockey_marl.experiment.run_folder import output_folder
 
 
 def main(cfg: DictConfig) -> None:
-    """Gather the runs, write their report, and say on the screen where it is."""
     from guidance.statistics.groups import gather
     from guidance.statistics.paper import count_findings
     from guidance.statistics.report import screen_table, write_report
@@ -33,10 +32,10 @@ def main(cfg: DictConfig) -> None:
     write_report(group.trials, folder, group.manifest, beside)
     print(screen_table(group))
     counts = count_findings(group.comparison)
-    everything, others = counts.loc["all"], counts.loc["none"]
-    print(f"\n{everything.replicated} of the paper's 38 findings replicate ({everything.tested} tested),", end=" ")
-    print(f"{everything.reversed} reversed; {others.false_positives} of its 63 non-findings are significant here")
+    total, others = counts.loc["all"], counts.loc["none"]
+    print(f"\n{total.replicated} of the paper's 38 findings replicate ({total.tested} tested),", end=" ")
+    print(f"{total.reversed} reversed; {others.false_positives} of its 63 non-findings are significant here")
     if beside:
-        everything = count_findings(beside.comparison).loc["all"]
-        print(f"beside: {everything.replicated} replicate ({everything.tested} tested), {everything.reversed} reversed")
+        total = count_findings(beside.comparison).loc["all"]
+        print(f"beside: {total.replicated} replicate ({total.tested} tested), {total.reversed} reversed")
     print(f"report: {folder / 'report.html'}")

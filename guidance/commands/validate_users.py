@@ -9,23 +9,11 @@ its run folder: speeds.png (speed profiles of reaches), push.png (displacement o
 (where each playstyle keeps its paddle) and shots.png (velocities of the puck after a stroke).
 """
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.files import write_text
 from airhockey_marl.experiment.run_folder import output_folder
-
-if TYPE_CHECKING:
-    import numpy as np
-
-    from guidance.simulated_users import Population
-    from guidance.study.setup import PlaySetup
-
-SKILL_TRIAL = 3000
 
 
 def check(cfg: DictConfig) -> None:
@@ -34,7 +22,6 @@ def check(cfg: DictConfig) -> None:
 
 
 def main(cfg: DictConfig) -> None:
-    """Measure the people, print the table, and draw the figures."""
     import numpy as np
 
     from guidance.simulated_users import load_population, sample_people
@@ -42,7 +29,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.simulated_users.validation.figures import draw_places, draw_push, draw_shots, draw_speeds
     from guidance.simulated_users.validation.measures import as_table, in_the_laboratory, style_measures
     from guidance.simulated_users.validation.motor_tasks import push_response
-    from guidance.study.demonstrations import collect_demonstrations
+    from guidance.study.demonstrations import collect_demonstrations, results_by_skill
     from guidance.study.setup import load_play_setup
     from guidance.user_model.data import Demonstrations, hand_speed
 
@@ -59,12 +46,12 @@ def main(cfg: DictConfig) -> None:
         ticks = round(cfg.play_seconds / table.tick)
         return [collect_demonstrations(group, setup, 2, ticks, seed) for group in groups]
 
-    known, unseen = games(cfg.seed + 100), games(cfg.seed + 200)
-    speeds = [hand_speed(data.observation, data.action, table).numpy().ravel() for data in unseen]
+    references, others = games(cfg.seed + 100), games(cfg.seed + 200)
+    speeds = [hand_speed(data.observation, data.action, table).numpy().ravel() for data in others]
     results["speed of the hand in play, 99.9 %"] = np.array([np.percentile(np.concatenate(speeds), 99.9)])
-    results |= style_measures([d.observation for d in known], [d.observation for d in unseen], table)
-    results |= by_skill(population, 6 * cfg.per_style, setup, cfg.seed)
-    rows, play = as_table(results), {name: d.observation[:, 0] for name, d in zip(names, unseen, strict=True)}
+    results |= style_measures([d.observation for d in references], [d.observation for d in others], table)
+    results |= results_by_skill(population, 6 * cfg.per_style, setup, cfg.seed)
+    rows, play = as_table(results), {name: d.observation[:, 0] for name, d in zip(names, others, strict=True)}
     folder = output_folder(cfg)
     write_text(folder / "human_measures.csv", rows.to_csv(index=False))
     pushed = {name: push_response(people, name, seed=cfg.seed) for name in Variant.__members__}
@@ -74,22 +61,3 @@ def main(cfg: DictConfig) -> None:
     draw_shots(play, table, folder / "shots.png")
     print(rows.to_string(index=False, float_format=lambda number: f"{number:.3g}"))
     print(f"\nfigures: {folder}")
-
-
-def by_skill(population: Population, number: int, setup: PlaySetup, seed: int) -> dict[str, np.ndarray]:
-    """Rounds won and shots stopped by `number` people of each of `SKILLS`, a value per person each."""
-    from guidance.simulated_users import sample_people
-    from guidance.simulated_users.validation.measures import SKILLS
-    from guidance.study.games import no_force, play_games
-    from guidance.study.protocol import Protocol, user_and_table_states
-
-    won, stopped = {}, {}
-    game = Protocol(familiarization=0, rounds=14, extra_rounds=0, min_seconds=0, round_seconds=30)
-    for trial, skill in enumerate(SKILLS):
-        people = sample_people(number, seed + 300, population.with_parameters(skill_mean=skill, skill_sd=0.0))
-        minds, serves = user_and_table_states(seed, range(number), SKILL_TRIAL + trial)
-        users = setup.simulated_users(people, minds)
-        results = play_games(users, setup.opponent, no_force, game, setup.table, serves).results
-        won[f"rounds won, skill {skill:+.1f}"] = results["win_rate"]
-        stopped[f"shots stopped, skill {skill:+.1f}"] = results["defense_rate"]
-    return {**won, **stopped}

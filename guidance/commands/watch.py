@@ -35,11 +35,9 @@ def check(cfg: DictConfig) -> None:
     require_counts(cfg, "frames_per_second")
     require_numbers(cfg, "seconds", at_most=LONGEST)
     require_numbers(cfg, "start", least=0.0)
-    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
 
 
 def main(cfg: DictConfig) -> None:
-    """Film the game, and print how it ended."""
     from airhockey_marl.envs.physics import TableSpec
     from guidance.display.film import MIN_WIDTH, FilmInfo, draw_sheet, save_film
     from guidance.sessions.tick_log import load_recorded_part

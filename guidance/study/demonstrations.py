@@ -1,14 +1,18 @@
-"""Play without guidance: the data on which user models are trained and parameters are calibrated."""
+"""Play without guidance: the data on which user models are trained, and results of people by skill."""
 
 from collections.abc import Callable
 
 import numpy as np
 import torch
 
-from guidance.study.games import GameRunner
-from guidance.study.protocol import RandomStream, spawn_rng_states
+from guidance.simulated_users import Population, sample_people
+from guidance.simulated_users.validation.measures import SKILLS
+from guidance.study.games import GameRunner, no_force, play_games
+from guidance.study.protocol import Protocol, RandomStream, spawn_rng_states, user_and_table_states
 from guidance.study.setup import PlaySetup
 from guidance.user_model.data import Demonstrations
+
+SKILL_TRIAL = 3000  # in the seeds, where a study has the number of its condition
 
 
 @torch.no_grad()
@@ -50,3 +54,17 @@ def collect_demonstrations(
         return torch.from_numpy(values).transpose(0, 1).unflatten(0, (users, games)).contiguous()
 
     return Demonstrations(by_user(observation), by_user(action))
+
+
+def results_by_skill(population: Population, number: int, setup: PlaySetup, seed: int) -> dict[str, np.ndarray]:
+    """Rounds won and shots stopped by `number` people of each of `SKILLS`, a value per person each."""
+    won, stopped = {}, {}
+    protocol = Protocol(familiarization=0, rounds=14, extra_rounds=0, min_seconds=0, round_seconds=30)
+    for trial, skill in enumerate(SKILLS):
+        people = sample_people(number, seed + 300, population.with_parameters(skill_mean=skill, skill_sd=0.0))
+        users, serves = user_and_table_states(seed, range(number), SKILL_TRIAL + trial)
+        players = setup.simulated_users(people, users)
+        results = play_games(players, setup.opponent, no_force, protocol, setup.table, serves).results
+        won[f"rounds won, skill {skill:+.1f}"] = results["win_rate"]
+        stopped[f"shots stopped, skill {skill:+.1f}"] = results["defense_rate"]
+    return {**won, **stopped}

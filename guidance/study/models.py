@@ -11,7 +11,7 @@ from torch import Tensor
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.files import load_tensors, save_tensors, sha256
 from airhockey_marl.experiment.validation import check_numbers
-from airhockey_marl.league.league import League, require_finite, require_weights
+from airhockey_marl.league.league import League, check_weights
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.forces.conditions import OPTIMAL
 from guidance.forces.equations import lookahead_state
@@ -34,8 +34,7 @@ def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
     tensors, facts = load_tensors(path)
     try:
         model = GaussianPolicy.from_architecture(facts)
-        require_weights(model, {name: tuple(tensor.shape) for name, tensor in tensors.items()})
-        require_finite(tensors)
+        check_weights(model, tensors)
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from error
     model.load_state_dict(tensors)

@@ -15,6 +15,7 @@ from omegaconf import DictConfig, OmegaConf
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.files import sha256
 from airhockey_marl.experiment.registry import construct
+from airhockey_marl.experiment.validation import check_numbers
 from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from airhockey_marl.players.players import Player
@@ -108,6 +109,7 @@ def condition_specs(cfg: DictConfig, warn: Callable[[str], None] = lambda text: 
 
 def load_conditions(cfg: DictConfig) -> list[Condition]:
     """The conditions of `condition_specs`, ready to be played."""
+    check_numbers(0.0, at_most=1.0, **{"guidance.lookahead": cfg.guidance.lookahead})
     settings = GuidanceSettings.from_config(cfg.guidance)
     specs = condition_specs(cfg, lambda text: print(f"note: {text}", file=sys.stderr))
     return [build_condition(spec, settings) for spec in specs]

@@ -56,7 +56,7 @@ TABLE = [
     (lambda: Critic([0]), r"hidden = \(0,\) must name"),
     (lambda: League(POLICY).generation(0), r"generation = 0 must be below 0"),
     (lambda: League(POLICY).opponent_batch(["goalie"]), r"scripted player = 'goalie' must be one of"),
-    (lambda: DeltaUniform(1.0), r"delta = 1\.0 must be at least 0 and below 1"),
+    (lambda: DeltaUniform(1.0), r"delta = 1\.0 must be a finite number of at least 0 and below 1"),
     (
         lambda: PerRowInference(POLICY)(np.zeros((5, 12)), np.arange(5)),
         r"model_index: from 0 to 4, must be from 0 to 0",

@@ -151,7 +151,7 @@ def test_matches_and_best_response_are_shown(written, league):
     text = shown(with_more)
     expected = {"matches.png", "best_response.png", *(file for file in FILES if "png" in file)}
     assert set(draw_figures(with_more, matches())) == expected
-    assert "over five generations" in text and "has no matches.csv" not in text
+    assert "when it was the newest, against" in text and "has no matches.csv" not in text
     assert "trained for 2,000,000 steps" in text and "wins 80 % [71, 87] of the decided rounds" in text
     without = text_of((folder / "league_report.html").read_text())
     assert "has no matches.csv with the matches of its training" in without and "is not known" in without

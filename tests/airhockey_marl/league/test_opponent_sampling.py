@@ -60,7 +60,7 @@ def test_probabilities_sum_to_one():
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda: DeltaUniform(1.0), "delta = 1.0 must be at least 0 and below 1"),
+        (lambda: DeltaUniform(1.0), "delta = 1.0 must be a finite number of at least 0 and below 1"),
         (lambda: PFSP("soft"), "weighting = 'soft' must be one of squared, variance"),
         (lambda: Mixture([Latest()], [1.0, 2.0]), "shares = .* must be 1 numbers above 0"),
         (lambda: Mixture([Latest()], [0.0]), "above 0"),

@@ -109,7 +109,7 @@ def test_slices_of_opponents_equal_the_batch(workers):
 def test_noise_does_not_depend_on_the_slice():
     policy, observation = GaussianPolicy([8]), torch.randn(10, 1, 12)
     torch.manual_seed(0)
-    expected = GaussianSampling(policy)(observation)
+    expected = GaussianSampling(policy, TableSlice(0, 10, 10))(observation)
     torch.manual_seed(0)
     actual = GaussianSampling(policy, TableSlice(4, 7, 10))(observation[4:7])
     assert torch.allclose(actual, expected[4:7], atol=1e-6)
@@ -119,7 +119,7 @@ def test_noise_does_not_depend_on_the_slice():
     ("arguments", "message"),
     [
         ({"kind": "several"}, "collector.kind = 'several' must be one of single, multisync, ray"),
-        ({"kind": MULTISYNC, "workers": 0}, "collector.workers = 0 must be a whole number, at least 1"),
+        ({"kind": MULTISYNC, "workers": 0}, "collector.workers = 0 must be a whole number of at least 1"),
         ({"kind": MULTISYNC, "workers": True}, "collector.workers = True must be a whole number"),
         ({"kind": SINGLE, "workers": 2}, "collector.workers = 2 must be 1 where collector.kind = single"),
         ({"kind": MULTISYNC, "address": ""}, "collector.address = '' must be local, auto or"),

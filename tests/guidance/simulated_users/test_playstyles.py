@@ -8,7 +8,6 @@ from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
-from guidance.commands.validate_users import by_skill
 from guidance.simulated_users import Population, load_advisors, sample_people
 from guidance.simulated_users.population import LogNormal
 from guidance.simulated_users.validation.playstyles import (
@@ -18,7 +17,7 @@ from guidance.simulated_users.validation.playstyles import (
     identification_rate,
     shot_velocities,
 )
-from guidance.study.demonstrations import collect_demonstrations
+from guidance.study.demonstrations import collect_demonstrations, results_by_skill
 from guidance.study.setup import PlaySetup
 
 TABLE = TableSpec()
@@ -61,7 +60,7 @@ def test_games_of_identical_people_identify_neither(setup):
 
 
 def test_more_skill_wins_more_and_stops_more(setup):
-    found = by_skill(Population.default(), 90, setup, 0)
+    found = results_by_skill(Population.default(), 90, setup, 0)
     won, stopped = ([np.nanmean(v) for name, v in found.items() if name.startswith(w)] for w in ("rounds", "shots"))
     assert won[0] < won[2] and stopped[0] < stopped[1] < stopped[2]
     assert won[0] - 0.02 < won[1] < won[2] + 0.02

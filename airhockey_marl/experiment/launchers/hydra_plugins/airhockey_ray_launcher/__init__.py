@@ -46,15 +46,15 @@ class RayLauncher(Launcher):
             ray.init(**self.init)
         ray.cloudpickle.register_pickle_by_value(sys.modules[__name__])  # workers do not know the way here
         task = ray.remote(**self.remote)(_run)
-        waiting = []
+        tasks = []
         for number, overrides in enumerate(job_overrides, initial_job_idx):
             log.info(f"\t#{number} : {' '.join(filter_overrides(overrides))}")
             config = self.hydra_context.config_loader.load_sweep_config(self.config, list(overrides))
             with open_dict(config):
                 config.hydra.job.id, config.hydra.job.num = f"{config.hydra.job.name}_{number}", number
                 config.hydra.sweep.dir = str(sweep)
-            waiting.append(task.remote(self.hydra_context, config, self.task_function, Singleton.get_state()))
-        return [_outcome(ray, job, overrides) for job, overrides in zip(waiting, job_overrides, strict=True)]
+            tasks.append(task.remote(self.hydra_context, config, self.task_function, Singleton.get_state()))
+        return [_outcome(ray, job, overrides) for job, overrides in zip(tasks, job_overrides, strict=True)]
 
 
 def _run(
@@ -73,6 +73,6 @@ def _outcome(ray: Any, job: Any, overrides: Sequence[str]) -> JobReturn:
     try:
         return ray.get(job)
     except ray.exceptions.RayError as error:
-        lost = JobReturn(overrides=list(overrides), status=JobStatus.FAILED)
-        lost.return_value = error
-        return lost
+        failure = JobReturn(overrides=list(overrides), status=JobStatus.FAILED)
+        failure.return_value = error
+        return failure
