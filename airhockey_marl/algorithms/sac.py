@@ -93,22 +93,14 @@ class ReplayBuffer(nn.Module):
     Sampling uses torch's global random numbers, which a checkpoint holds as well.
     """
 
-    SIZES = {  # noqa: RUF012 (never changed)
-        "observation": 12,
-        "action": 2,
-        ("next", "observation"): 12,
-        ("next", "reward"): 1,
-        ("next", "terminated"): 1,
-    }
-
     def __init__(self, capacity: int, device: torch.device | str = "cpu") -> None:
         super().__init__()
-        self.transitions = TensorDict(batch_size=[capacity], device=device)
-        for key, size in self.SIZES.items():
-            dtype = torch.bool if "terminated" in key else torch.float32
-            self.transitions[key] = torch.zeros(capacity, size, dtype=dtype, device=device)
-            name = key if isinstance(key, str) else "_".join(key)
-            self.register_buffer(name, self.transitions[key])  # the same memory
+        next_step = {"observation": torch.zeros(12), "reward": torch.zeros(1), "terminated": torch.zeros(1).bool()}
+        transition = TensorDict({"observation": torch.zeros(12), "action": torch.zeros(2), "next": next_step})
+        self.keys = list(transition.keys(include_nested=True, leaves_only=True))
+        self.transitions = transition.expand(capacity).to(device).contiguous()
+        for name, tensor in self.transitions.flatten_keys("_").items():
+            self.register_buffer(name, tensor)  # the same memory
         self.buffer = TensorDictReplayBuffer(storage=TensorStorage(self.transitions, device=device))
         self.buffer.empty()
 
@@ -126,7 +118,7 @@ class ReplayBuffer(nn.Module):
 
     def extend(self, batch: TensorDictBase) -> None:
         """Add a batch of transitions, see `base.Learner`; they replace the oldest."""
-        transitions = batch.select(*self.SIZES).reshape(-1)
+        transitions = batch.select(*self.keys).reshape(-1)
         self.buffer.extend(transitions[-len(self.transitions) :])
 
     def sample(self, count: int) -> TensorDict:

@@ -159,28 +159,23 @@ def _spread(values: pd.Series, digits: int) -> str:
 
 def comparison_figure(results: pd.DataFrame) -> Figure:
     """Win rates against the scripts and generation 0 during training: thin lines are seeds, thick lines their mean."""
-    from matplotlib.lines import Line2D
-
     figure = new_figure(12, 4.2)
     panels = figure.subplots(1, len(SCRIPTS) + 1, sharey=True)
     algorithms, rates = sorted(results["algorithm"].unique()), win_rates(results)
     styles = dict(zip(algorithms, itertools.cycle(STYLES), strict=False))
+    seeds = results.groupby("algorithm")["seed"].nunique()
     for axes, opponent in zip(panels, [*SCRIPTS, GENERATION_0], strict=True):
         for algorithm, (color, mark) in styles.items():
             own = rates[(rates["algorithm"] == algorithm) & (rates["opponent"] == opponent)]
             for _, seed in own.groupby("seed"):
                 axes.plot(seed["steps"] / 1e6, seed["win_rate"], color=color, linewidth=0.8, alpha=0.5)
             mean = own.groupby("steps")["win_rate"].mean()
-            axes.plot(mean.index / 1e6, mean, color=color, linewidth=2.2, marker=mark, markersize=5)
+            label = f"{algorithm} ({seeds[algorithm]} seed{'s'[: seeds[algorithm] - 1]})" if axes is panels[0] else None
+            style = {"color": color, "linewidth": 2.2, "marker": mark, "markersize": 5}
+            axes.plot(mean.index / 1e6, mean, **style, label=label)
         axes.axhline(0.5, color=GRAY, linewidth=0.8, linestyle=":")
         axes.set_ylim(-0.02, 1.02)
         label = "share of decided rounds won" if axes is panels[0] else ""
         label_panel(axes, f"against {opponent}", "steps of play in millions", label)
-    seeds = results.groupby("algorithm")["seed"].nunique()
-    labels = [f"{name} ({seeds[name]} seed{'s'[: seeds[name] - 1]})" for name in algorithms]
-    legend = [
-        Line2D([], [], color=color, marker=mark, linewidth=2.2, label=label)
-        for (color, mark), label in zip(styles.values(), labels, strict=True)
-    ]
-    figure.legend(handles=legend, loc="outside lower center", ncols=len(legend), frameon=False, fontsize=9)
+    figure.legend(loc="outside lower center", ncols=len(styles), frameon=False, fontsize=9)
     return figure

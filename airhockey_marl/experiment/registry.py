@@ -132,11 +132,9 @@ def construct(entry: Callable[..., T], settings: Any, place: str, *context: Any)
             if name not in names:
                 allowed = f"must be one of {', '.join(names)}" if names else "there are none"
                 raise ValueError(f"{place}.{name}: no such setting, {allowed}{did_you_mean(name, names)}")
-    missing = [
-        p.name for p in parameters if p.default is p.empty and p.kind != p.VAR_KEYWORD and p.name not in settings
-    ]
-    if missing:
-        raise ValueError(f"{place}.{missing[0]} is missing")
+    for parameter in parameters:
+        if parameter.default is parameter.empty and parameter.name in names and parameter.name not in settings:
+            raise ValueError(f"{place}.{parameter.name} is missing")
     return entry(*context, **settings)
 
 

@@ -92,7 +92,13 @@ def main(cfg: DictConfig) -> float:
         facts = {"seed": cfg.seed, "ahead_s": cfg.ahead}
         save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
         save_user_model(folder / "user.safetensors", user, facts)
-        write_json(folder / "card.json", card(cfg, scores) | card_facts(cfg, seconds))
+        card = {
+            "models": "user prediction models (section 3.2.3): meta.safetensors for UA, user.safetensors without",
+            "data": "nine simulated training users, {games} x {ticks} ticks each".format(**cfg.demonstrations),
+            "opponents_sha256": sha256(cfg.models.opponents),
+            "on_nine_others": {name: round(value, 4) for name, value in scores.items()},
+        }
+        write_json(folder / "card.json", card | card_facts(cfg, seconds))
         log_final_scores(folder, cfg, scores)
         note_headline(folder, f"loss after UA {scores['after_ua_loss']:.3g}, error {scores['after_ua_rmse']:.3g}")
     return scores["after_ua_loss"]
@@ -141,13 +147,3 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
                 checkpoint.save(folder / STATE_FILE, {"done": done, "seconds": seconds})
         board.close()
     return seconds
-
-
-def card(cfg: DictConfig, scores: dict[str, float]) -> dict:
-    """The model card: how the models were made, and how they predict."""
-    return {
-        "models": "user prediction models (section 3.2.3): meta.safetensors for UA, user.safetensors without",
-        "data": f"nine simulated training users, {cfg.demonstrations.games} x {cfg.demonstrations.ticks} ticks each",
-        "opponents_sha256": sha256(cfg.models.opponents),
-        "on_nine_others": {name: round(value, 4) for name, value in scores.items()},
-    }
