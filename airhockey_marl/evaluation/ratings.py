@@ -50,20 +50,12 @@ class Proportion(NamedTuple):
         return difference, difference - float(below), difference + float(above)
 
 
-class Ratings(NamedTuple):
-    """Elo points (k,) above the reference and the bounds of their 95 % intervals; those of the reference are 0."""
-
-    rating: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-
-
 class RatingDifference(NamedTuple):
-    """Elo points of one player above another, and the bounds of the difference's 95 % interval."""
+    """Elo points of one player, or of k players (k,), above another, and the bounds of the 95 % intervals."""
 
-    value: float
-    low: float
-    high: float
+    value: float | np.ndarray
+    low: float | np.ndarray
+    high: float | np.ndarray
 
 
 class GoodnessOfFit(NamedTuple):
@@ -136,7 +128,7 @@ def win_rates(score: np.ndarray) -> np.ndarray:
     return np.where(decided > 0, score[..., 0] / np.maximum(decided, 1), np.nan)
 
 
-def bradley_terry(wins: np.ndarray, reference: int) -> Ratings:
+def bradley_terry(wins: np.ndarray, reference: int) -> RatingDifference:
     """Bradley-Terry ratings: the probability that i beats j is the logistic of the difference of their strengths.
 
     Maximum likelihood by iterative Luce spectral ranking (Maystre and Grossglauser 2015), with a prior:
@@ -162,7 +154,7 @@ def bradley_terry(wins: np.ndarray, reference: int) -> Ratings:
     error[others] = np.sqrt(np.diag(np.linalg.inv(information[np.ix_(others, others)])))
     rating = ELO * (strength - strength[reference])[:k]
     half_width = ELO * Z_95 * error[:k]
-    return Ratings(rating, rating - half_width, rating + half_width)
+    return RatingDifference(rating, rating - half_width, rating + half_width)
 
 
 def rating_differences(
@@ -192,7 +184,8 @@ def _logistic(strength: np.ndarray) -> np.ndarray:
 
 def ratings_table(player_ids: Sequence[PlayerId], wins: np.ndarray) -> pd.DataFrame:
     """Ratings relative to the first player, with the columns member, rating, low, high; see `bradley_terry`."""
-    return pd.DataFrame({"member": pd.Series(player_ids, dtype=object), **bradley_terry(wins, 0)._asdict()})
+    rating, low, high = bradley_terry(wins, 0)
+    return pd.DataFrame({"member": pd.Series(player_ids, dtype=object), "rating": rating, "low": low, "high": high})
 
 
 def wins_of_matches(matches: pd.DataFrame) -> tuple[list[PlayerId], np.ndarray]:

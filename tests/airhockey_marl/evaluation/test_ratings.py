@@ -60,14 +60,14 @@ def ring(k: int) -> np.ndarray:
 def test_ratings_are_the_maximum_of_the_likelihood(met):
     rng = np.random.default_rng(0)
     wins = tournament(200 * rng.normal(size=9), 60, rng, met)
-    np.testing.assert_allclose(bradley_terry(wins, 0).rating, maximum_likelihood(wins, PRIOR_ROUNDS), atol=0.01)
+    np.testing.assert_allclose(bradley_terry(wins, 0).value, maximum_likelihood(wins, PRIOR_ROUNDS), atol=0.01)
 
 
 def test_prior_is_negligible_beside_hundreds_of_rounds():
     rng = np.random.default_rng(1)
     wins = tournament(200 * rng.normal(size=12), 100, rng)
     rated = bradley_terry(wins, 0)
-    assert np.abs(maximum_likelihood(wins, 0.0) - rated.rating).max() < 0.03 * (rated.high - rated.low).max()
+    assert np.abs(maximum_likelihood(wins, 0.0) - rated.value).max() < 0.03 * (rated.high - rated.low).max()
 
 
 @pytest.mark.parametrize(
@@ -92,17 +92,17 @@ def test_players_that_won_or_lost_all_rounds_have_finite_ratings_and_wide_interv
     wins[3], wins[:, 3] = np.array([50, 50, 50, 0, 50]), 0
     best, worst = bradley_terry(wins, 0), bradley_terry(wins.T, 0)
     for rated in (best, worst):
-        assert np.isfinite(rated).all() and rated.low[3] < rated.rating[3] < rated.high[3]
+        assert np.isfinite(rated).all() and rated.low[3] < rated.value[3] < rated.high[3]
         assert rated.high[3] - rated.low[3] > 3 * (rated.high[1] - rated.low[1])
     assert best.low[3] > 200
-    np.testing.assert_allclose(best.rating, -worst.rating, atol=1e-6)  # winners and losers are treated alike
+    np.testing.assert_allclose(best.value, -worst.value, atol=1e-6)  # winners and losers are treated alike
 
 
 def test_reference_shifts_the_ratings():
     rng = np.random.default_rng(5)
     wins = tournament(100 * rng.normal(size=6), 40, rng)
     first, third = bradley_terry(wins, 0), bradley_terry(wins, 2)
-    np.testing.assert_allclose(first.rating - first.rating[2], third.rating, atol=1e-9)
+    np.testing.assert_allclose(first.value - first.value[2], third.value, atol=1e-9)
     assert third[0][2] == third[1][2] == third[2][2] == 0
     there, back = rating_differences("abcdef", wins, "c")["a"], rating_differences("abcdef", wins, "a")["c"]
     np.testing.assert_allclose(there, (-back.value, -back.high, -back.low), atol=1e-6)
@@ -121,12 +121,12 @@ def test_goodness_of_fit_distinguishes_cycles_from_chance():
     rng, ratios, surprises = np.random.default_rng(6), [], 0
     for _ in range(100):
         wins = tournament(150 * rng.normal(size=8), 50, rng)
-        fit = goodness_of_fit(wins, bradley_terry(wins, 0).rating)
+        fit = goodness_of_fit(wins, bradley_terry(wins, 0).value)
         ratios.append(fit.ratio)
         surprises += fit.p < 0.05
     assert 0.9 < np.mean(ratios) < 1.1 and surprises <= 12
     rock_paper_scissors = 40 * np.roll(np.eye(3), 1, axis=1) + 10 * np.roll(np.eye(3), -1, axis=1)
-    fit = goodness_of_fit(rock_paper_scissors, bradley_terry(rock_paper_scissors, 0).rating)
+    fit = goodness_of_fit(rock_paper_scissors, bradley_terry(rock_paper_scissors, 0).value)
     assert fit.ratio > 20 and fit.p < 1e-6
     assert np.isnan(goodness_of_fit(np.ones((2, 2)), np.zeros(2))).all()
 
