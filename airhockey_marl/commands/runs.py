@@ -11,16 +11,13 @@ run.json (unknown), or has others within its folder. Links are not followed.
 """
 
 import shutil
-import time
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.config import InputError
-from airhockey_marl.experiment.run_folder import STATES, RunRecord, read_run, runs_below
-
-OVER = ("failed", "interrupted")
+from airhockey_marl.experiment.run_record import OVER, STATES, RunRecord, listing, read_run, runs_below
 
 
 def check(cfg: DictConfig) -> None:
@@ -48,32 +45,6 @@ def main(cfg: DictConfig) -> None:
         answer = ""
     removed = remove(removals) if answer.strip().lower() in ("y", "yes") else []
     print(f"removed {len(removed)} of {len(removals)}")
-
-
-def listing(runs: Sequence[RunRecord], outputs: Path) -> str:
-    """The runs as aligned text, oldest first, each with its headline numbers, or why it failed."""
-    rows = [("run", "status", "took", "settings", "")]
-    for run in runs:
-        state = run.state
-        elapsed = time.time() - run.started if state == "running" else run.seconds
-        settings = " ".join(o for o in run.overrides if not o.startswith("hydra."))
-        end = f"pid {run.pid} on {run.host}" if state == "running" else run.error or run.headline
-        if state in OVER and run.resumable:
-            end = f"{end} (resume={run.folder} goes on)".strip()
-        place = str(run.folder.relative_to(outputs))
-        rows.append((place, state, duration(elapsed), settings or "–", end))
-    widths = [max(len(row[column]) for row in rows) for column in range(4)]
-    lines = ["  ".join(c.ljust(w) for c, w in zip(row, (*widths, 0), strict=True)).rstrip() for row in rows]
-    return "\n".join(lines)
-
-
-def duration(seconds: float | None) -> str:
-    """A time in s, min or h."""
-    if seconds is None:
-        return "–"
-    if seconds < 120:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 7200 else f"{seconds / 3600:.1f} h"
 
 
 def removable(runs: Sequence[RunRecord]) -> list[RunRecord]:

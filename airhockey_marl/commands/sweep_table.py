@@ -55,7 +55,8 @@ def tabulate(cards: Mapping[Path, Mapping[str, Any]]) -> tuple[pd.DataFrame, lis
         | {"seconds": card.get("seconds")}
         for card in cards.values()
     ).select_dtypes("number")
-    scores = list(results.dropna(axis="columns", how="all"))
+    scores = [name for name in results if results[name].nunique(dropna=False) > 1 or len(results) == 1]
+    scores = [name for name in scores if results[name].notna().any()]
     if scores in ([], ["seconds"]):
         raise ValueError("runs: their cards have no scores")
     runs = pd.Series([str(folder) for folder in cards], name="run")

@@ -96,7 +96,10 @@ class Command:
                 OmegaConf.to_container(cfg, resolve=True)  # finds a broken reference now
                 provide_numba_cache()
                 module = import_module(self.module)
-                return module.main(prepare(cfg, module))
+                cfg = prepare(cfg, module)
+                if HydraConfig.get().output_subdir is not None:
+                    print("run folder:", cfg.get("resume") or HydraConfig.get().runtime.output_dir, flush=True)
+                return module.main(cfg)
             except Exception as error:
                 if HydraConfig.get().mode == RunMode.MULTIRUN:
                     _print_failed(error)

@@ -59,10 +59,16 @@ def group_options(conf: Path, name: str) -> dict[str, list[str]]:
     folders = {group: group for group in (*defaults, "hydra/launcher")}
     folders |= {group: f"{group}/{name}" for group in COMMAND_GROUPS}
     options = {
-        group: sorted({*loader.get_group_options(folder), *(file.stem for file in (CONF / folder).glob("*.yaml"))})
+        group: sorted({*loader.get_group_options(folder), *_choices_below(CONF / folder)})
         for group, folder in folders.items()
     }
     return {group: names for group, names in options.items() if names}
+
+
+def _choices_below(folder: Path) -> list[str]:
+    """The choices in a folder and its subfolders, those that others refer to left out."""
+    files = (file.relative_to(folder).with_suffix("") for file in folder.rglob("*.yaml"))
+    return [file.as_posix() for file in files if file.parts[0] != "shared"]
 
 
 def also_search(conf: Path) -> list[str]:
@@ -169,8 +175,7 @@ def _choices(override: Override, group: str, options: list[str]) -> list[str]:
         raise InputError(f"{override.input_line}: {group} cannot be left out, {allowed}")
     choices = _elements(override)
     for choice in choices:
-        nested = isinstance(choice, str) and "/" in choice and (CONF / group / f"{choice}.yaml").is_file()
-        if choice not in options and not nested:
+        if choice not in options:
             raise InputError(f"{group} = {_shown(choice)} {allowed}")
     return choices
 

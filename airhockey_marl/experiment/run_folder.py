@@ -1,20 +1,15 @@
-"""What is known of the runs below `outputs/`: each writes run.json into its folder as it begins and as it ends.
+"""Run folders: the callback of Hydra that writes run.json, what a card says of its origin, and the lock."""
 
-A run that was killed writes nothing any more. That it is over is seen from its process, on the machine that it ran on.
-"""
-
-import json
 import os
 import socket
 import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import psutil
 from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, JobStatus
@@ -22,98 +17,8 @@ from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.experiment.command import report_input_errors
-from airhockey_marl.experiment.config import STATE_FILE
-from airhockey_marl.experiment.files import name_write_errors, remove_temporary_files, write_json, write_text
-
-RECORD = "run.json"
-STATES = ("running", "done", "failed", "interrupted", "unknown")
-GOES_ON_FROM = (STATE_FILE, "batches")  # what a run leaves that can be resumed
-
-
-@dataclass(frozen=True)
-class RunRecord:
-    """What run.json says of a run, and where it lies.
-
-    Attributes:
-        folder: of the run.
-        command: the name of its yaml.
-        overrides: what was set on the command line.
-        commands: as they were typed: the one that began it, and those that resumed it.
-        status: running, done or failed, as it was written; see `state`.
-        host, pid, birth: of its process, see `process_start`.
-        started, seconds: Unix time, and how long it took; None while it runs.
-        error: why it failed, in one line.
-        headline: the numbers that it is known by, see `note_headline`.
-    """
-
-    folder: Path
-    command: str
-    overrides: list[str] = field(default_factory=list)
-    commands: list[str] = field(default_factory=list)
-    status: str = "unknown"
-    host: str = ""
-    pid: int = 0
-    birth: str = ""
-    started: float = 0.0
-    seconds: float | None = None
-    error: str = ""
-    headline: str = ""
-
-    @property
-    def state(self) -> str:
-        """One of `STATES`: a run that says it is running is interrupted if its process is gone from this machine.
-
-        On another machine nobody can tell from here, so it is taken at its word.
-        """
-        gone = self.host == socket.gethostname() and process_start(self.pid) != self.birth
-        return "interrupted" if self.status == "running" and gone else self.status
-
-    @property
-    def resumable(self) -> bool:
-        """Whether it has left something to go on from."""
-        return any((self.folder / name).exists() for name in GOES_ON_FROM)
-
-    def write(self) -> None:
-        write_json(self.folder / RECORD, {key: value for key, value in asdict(self).items() if key != "folder"})
-
-
-def process_start(pid: int) -> str:
-    """When a process began, in seconds since the boot, which no later process of the same number has; "" if it is gone.
-
-    Not the time of day, which an adjusted clock moves.
-    """
-    try:
-        process = psutil.Process(pid)
-        alive = pid > 0 and process.status() != psutil.STATUS_ZOMBIE
-        return f"{process.create_time() - psutil.boot_time():.2f}" if alive else ""
-    except (psutil.Error, ValueError, OverflowError):
-        return ""
-
-
-def read_run(folder: Path) -> RunRecord:
-    """The run of a folder; of unknown state where its run.json is absent or not what `RunRecord.write` writes."""
-    try:
-        facts: Any = json.loads((folder / RECORD).read_text(encoding="utf-8"))
-        run = RunRecord(folder, **facts)
-        sound = run.status in STATES and isinstance(run.pid, int) and isinstance(run.overrides, list)
-        sound &= isinstance(run.commands, list)
-        sound &= isinstance(run.headline, str)
-        sound &= isinstance(run.started, int | float) and isinstance(run.seconds, int | float | None)
-    except (OSError, ValueError, TypeError):
-        sound = False
-    return run if sound else RunRecord(folder, "")
-
-
-def runs_below(outputs: Path) -> list[RunRecord]:
-    """Every run below a folder, by its .hydra/ or its run.json; what links lead to is not looked at."""
-    runs = []
-    for place, folders, files in os.walk(outputs, followlinks=False):
-        folder = Path(place)
-        if RECORD in files or (".hydra" in folders and (folder / ".hydra" / "config.yaml").is_file()):
-            run = read_run(folder)
-            runs.append(run if run.command else RunRecord(folder, "?"))
-        folders[:] = sorted(name for name in folders if not name.startswith("."))
-    return runs
+from airhockey_marl.experiment.files import name_write_errors, remove_temporary_files, write_text
+from airhockey_marl.experiment.run_record import RECORD, RunRecord, listing, process_start, read_run, runs_below
 
 
 class RunRecorder(Callback):
@@ -156,6 +61,13 @@ class RunRecorder(Callback):
                 seconds = round(time.time() - run.started, 1)
                 replace(run, status="failed" if failed else "done", error=error, seconds=seconds).write()
 
+    def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
+        """Print what the sweep varied, and what came of it."""
+        sweep = Path(config.hydra.sweep.dir)
+        jobs = sorted((run for run in runs_below(sweep) if run.command != "?"), key=lambda run: run.started)
+        if jobs:
+            print(f"\nsweep: {sweep}\n{listing(jobs, sweep)}")
+
 
 def _running(run: RunRecord, config: DictConfig) -> RunRecord:
     """A run as this process begins or resumes it."""
@@ -194,7 +106,8 @@ def card_facts(cfg: DictConfig, seconds: float) -> dict[str, Any]:
 
 
 def note_headline(folder: Path, headline: str) -> None:
-    """Write the numbers that a job is known by, in a few words, into its run.json, if it has one."""
+    """Print the numbers that a job is known by, in a few words, and write them into its run.json, if it has one."""
+    print(headline)
     run = read_run(folder)
     if run.command:
         replace(run, headline=headline).write()

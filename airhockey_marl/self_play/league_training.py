@@ -1,6 +1,5 @@
 """The training of a league: each generation learns, is frozen, evaluated and saved (section 3.2.2)."""
 
-import sys
 import time
 from collections.abc import Mapping
 from pathlib import Path
@@ -9,7 +8,6 @@ import numpy as np
 import pandas as pd
 from omegaconf import DictConfig
 from torch.utils.tensorboard import SummaryWriter
-from tqdm import tqdm
 
 from airhockey_marl.algorithms.divergence import name_divergence
 from airhockey_marl.algorithms.reward_shaping import shaping_strength
@@ -20,6 +18,7 @@ from airhockey_marl.experiment.command import report_input_errors
 from airhockey_marl.experiment.config import STATE_FILE, InputError
 from airhockey_marl.experiment.files import name_write_errors, write_text
 from airhockey_marl.experiment.plotting import png_bytes
+from airhockey_marl.experiment.progress import progress_bar
 from airhockey_marl.experiment.tensorboard import add_picture, log_run_header, open_writer, tensorboard_dir
 from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.league.opponent_pool import OpponentPool
@@ -109,8 +108,9 @@ def train_league(training: LeagueTraining, folder: Path) -> None:
         log_run_header(writer, cfg, TAGS, LAYOUT)
     start = time.perf_counter() - training.seconds
     generations = range(training.generation + 1, cfg.generations + 1)
-    progress = {"initial": training.generation, "total": cfg.generations, "file": sys.stderr, "disable": None}
-    bar = tqdm(generations, desc="generation", **progress)
+    bar = progress_bar(
+        generations, desc="training", unit="generations", initial=training.generation, total=cfg.generations
+    )
     for generation in bar:
         opponents = pool.sample(cfg.league.opponents, training.rng)
         strength = shaping_strength(generation, cfg.shaping.generations)
@@ -126,7 +126,7 @@ def train_league(training: LeagueTraining, folder: Path) -> None:
         with name_write_errors(tensorboard_dir(folder)):
             log_generation(writer, training, metrics, results)
         training.save(folder)
-        bar.set_postfix({str(name): f"{results[name].win_rate:.2f}" for name in (0, *REFERENCE_PLAYERS)})
+        bar.set_postfix({str(name): f"{results[name].win_rate:.2f}" for name in (0, *REFERENCE_PLAYERS)}, refresh=False)
     writer.close()
     training.seconds = time.perf_counter() - start
 

@@ -12,7 +12,6 @@ unseen people), tensorboard/, and after each epoch state.safetensors, from which
 from __future__ import annotations
 
 import shutil
-import sys
 import time
 from functools import partial
 from pathlib import Path
@@ -23,7 +22,7 @@ from omegaconf import DictConfig
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.config import STATE_FILE, InputError
 from airhockey_marl.experiment.files import sha256, write_json
-from airhockey_marl.experiment.progress import ProgressBar
+from airhockey_marl.experiment.progress import ProgressBar, progress_bar
 from airhockey_marl.experiment.run_folder import card_facts, lock_run_folder, note_headline
 
 if TYPE_CHECKING:
@@ -112,7 +111,6 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
     """
     import numpy as np
     import torch
-    from tqdm import tqdm
 
     from airhockey_marl.algorithms.divergence import name_divergence
     from airhockey_marl.experiment.checkpoint import Checkpoint
@@ -135,14 +133,14 @@ def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, 
         if name == "maml" and not done[name]:
             log_run_header(board, cfg, TAGS, LAYOUT)
         training = train(models[name], data, **cfg[name], optimizer=optimizers[name], done=done[name])
-        bar = tqdm(training, name, cfg[name].epochs, initial=done[name], unit="epoch", file=sys.stderr, disable=None)
+        bar = progress_bar(training, desc=name, total=cfg[name].epochs, initial=done[name], unit="epochs")
         with name_divergence(f"{name} training", folder / STATE_FILE):
             for metrics in bar:
                 epoch = metrics.pop("epoch")
                 for key, value in metrics.items():
                     board.add_scalar(f"{name}/{key}", value, epoch)
                 board.flush()
-                bar.set_postfix({key: f"{value:.3f}" for key, value in metrics.items()})
+                bar.set_postfix({key: f"{value:.3f}" for key, value in metrics.items()}, refresh=False)
                 done[name], seconds = epoch, time.perf_counter() - start
                 checkpoint.save(folder / STATE_FILE, {"done": done, "seconds": seconds})
         board.close()

@@ -8,6 +8,7 @@ The device adds the force of the plane itself; it does not pass the safety layer
 its own, ramps up and down with the grip, and is zero when the device is relaxed; the total force is clipped as well.
 """
 
+import sys
 import time
 from collections.abc import Callable
 from contextlib import redirect_stderr, suppress
@@ -35,7 +36,10 @@ def load_sdk() -> ModuleType:
         with redirect_stderr(StringIO()):  # the binding prints what its error says
             from forcedimension_core import dhd
     except ModuleNotFoundError as error:
-        raise DeviceError(f"{error.name} is missing: pip install forcedimension-core==1.0.0") from error
+        remedy = "pip install 'airhockey-haptics[forcedimension]'"
+        if sys.version_info >= (3, 13):
+            remedy = "it has no release for this Python, take Python 3.11 or 3.12"
+        raise DeviceError(f"{error.name} is missing: {remedy}") from error
     except ImportError as error:
         raise DeviceError(
             "the Force Dimension SDK (libdrd) of version 3.16 or later is missing: install it from forcedimension.com "

@@ -11,15 +11,8 @@ import pytest
 
 from airhockey_marl.commands import runs
 from airhockey_marl.experiment.command import run as start_command
-from airhockey_marl.experiment.run_folder import (
-    RECORD,
-    RunRecord,
-    files_at_risk,
-    note_headline,
-    process_start,
-    read_run,
-    runs_below,
-)
+from airhockey_marl.experiment.run_folder import files_at_risk, note_headline
+from airhockey_marl.experiment.run_record import RECORD, RunRecord, listing, process_start, read_run, runs_below
 from tests.airhockey_marl.commands.test_cli import kill_at_the_first_checkpoint
 from tests.processes import start
 
@@ -86,9 +79,10 @@ def call(monkeypatch, *arguments: str, answer: str = "y") -> None:
 def test_every_run_is_listed_with_what_became_of_it(monkeypatch, capsys, outputs):
     assert {run.folder.name: run.state for run in runs_below(outputs)} == STATES
     note_headline(outputs / "done", "beats generation 0 0.95, striker 0.5")
+    assert capsys.readouterr().out == "beats generation 0 0.95, striker 0.5\n"
     call(monkeypatch, f"outputs={outputs}")
     lines = {line.split()[0]: line for line in capsys.readouterr().out.splitlines()}
-    assert len(lines) == 1 + len(STATES)
+    assert len(lines) == 1 + len(STATES)  # and a heading
     assert "done     " in lines["done"] and "90 s" in lines["done"] and lines["done"].endswith("striker 0.5")
     assert "seed=1" in lines["done"] and "hydra.verbose" not in lines["done"]
     assert lines["failed"].endswith("seed = -1 must be")
@@ -129,6 +123,22 @@ def test_there_is_something_to_lose_of_a_run_that_is_on_or_can_be_resumed_or_has
     assert files_at_risk(outputs / "old") is None
     (outputs / "old" / "card.json").touch()
     assert files_at_risk(outputs / "old") == "a run that has left card.json"
+
+
+def test_what_all_runs_have_in_common_stands_above_them(tmp_path):
+    """No column is the same for all."""
+    for seed in range(3):
+        overrides = ["+preset/train=smoke", f"seed={seed}", "hydra.verbose=true"]
+        folder = tmp_path / str(seed)
+        RunRecord(folder, "train", overrides, status="done", seconds=10.0 + seed, headline=f"beats {seed}").write()
+    text = listing(runs_below(tmp_path), tmp_path)
+    assert text.splitlines() == [
+        "all 3: done +preset/train=smoke",
+        "run  took  settings",
+        "0    10 s  seed=0    beats 0",
+        "1    11 s  seed=1    beats 1",
+        "2    12 s  seed=2    beats 2",
+    ]
 
 
 def test_one_command_or_status_can_be_asked_for(monkeypatch, capsys, outputs):

@@ -8,7 +8,7 @@ from subprocess import CompletedProcess
 import pytest
 
 from airhockey_marl.experiment import command as cli
-from airhockey_marl.experiment.run_folder import runs_below
+from airhockey_marl.experiment.run_record import runs_below
 from guidance.statistics.groups import gather
 from tests.processes import start
 

@@ -195,7 +195,9 @@ def test_a_missing_binding_says_what_to_install(monkeypatch):
         return real(name, *rest)
 
     monkeypatch.setattr(builtins, "__import__", without)
-    with pytest.raises(DeviceError, match=rf"^{BINDING} is missing: pip install forcedimension-core==1\.0\.0$"):
+    with pytest.raises(
+        DeviceError, match=rf"^{BINDING} is missing: pip install 'airhockey-haptics\[forcedimension\]'$"
+    ):
         ForceDimension()
 
 
