@@ -4,7 +4,7 @@
     airhockey train +preset=smoke            seconds, to see that it runs
     airhockey train -m seed=0,1,2            three seeds, one after another
     airhockey train collector=multisync collector.workers=4    play collected by four processes
-    airhockey train resume=outputs/train/... continue a stopped run
+    airhockey train resume=outputs/train/...  continue a stopped run
     tensorboard --logdir outputs             watch
 
 Writes into its run folder: league.safetensors (every generation), matches.csv (each generation against earlier ones and

@@ -2,7 +2,7 @@
 
     airhockey meta_train                               the paper's schedule, on nine simulated users
     airhockey meta_train +preset=smoke                 seconds, to see that it runs
-    airhockey meta_train resume=outputs/meta_train/... continue a stopped run
+    airhockey meta_train resume=outputs/meta_train/...  continue a stopped run
     tensorboard --logdir outputs                       watch
 
 Writes into its run folder: meta.safetensors, user.safetensors, card.json (configuration, and prediction errors on

@@ -1,13 +1,13 @@
 """The sinusoid regression of Finn et al. (2017, section 5.1) with `guidance.user_model.maml`: curves from ten points.
 
-    python -m guidance.examples.sinusoid            10,000 meta-steps, a minute or two
-    python -m guidance.examples.sinusoid 70000      as many as in the original
+    python -m guidance.examples.sinusoid          # 10,000 meta-steps, a minute or two
+    python -m guidance.examples.sinusoid 70000    # as many as in the original
 
 Prints the mean squared error on unseen curves before and after steps of adaptation.
 """
 
 import math
-import sys
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from functools import partial
 
 import torch
@@ -68,7 +68,9 @@ def errors_after(model: nn.Module, steps: list[int], curves: int = 600, seed: in
 
 
 def main() -> None:
-    meta_steps = int(sys.argv[1]) if len(sys.argv) > 1 else 10_000
+    parser = ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter)
+    parser.add_argument("meta_steps", type=int, nargs="?", default=10_000)
+    meta_steps = parser.parse_args().meta_steps
     torch.manual_seed(0)
     torch.set_num_threads(1)
     model = network()

@@ -10,6 +10,7 @@ follows its velocity. OAHG, UPHG and CombHG, with and without SC (Eq. 6, 7), pus
 Prints the prediction error, the distance of the hand from the point, and the disagreement.
 """
 
+from argparse import ArgumentParser, RawDescriptionHelpFormatter
 from functools import partial
 
 import numpy as np
@@ -186,6 +187,7 @@ def run(seed: int = 0, seconds: float = 60.0) -> tuple[dict[str, float], dict[st
 
 
 def main() -> None:
+    ArgumentParser(description=__doc__, formatter_class=RawDescriptionHelpFormatter).parse_args()
     torch.set_num_threads(1)
     predicted, games = run()
     print("error of the model, mm:", ", ".join(f"{name} {1000 * error:.2f}" for name, error in predicted.items()))

@@ -1,11 +1,13 @@
 """The second task: the same forces and the same meta-learning away from the air hockey table."""
 
+import sys
+
 import numpy as np
 import pytest
 import torch
 from torch import Generator
 
-from guidance.examples import steering
+from guidance.examples import sinusoid, steering
 from guidance.examples.steering import AHEAD, People, paths, play, run
 
 
@@ -41,6 +43,16 @@ def test_guidance_holds_with_little_training(monkeypatch):
     assert error["OAHG"] < 0.95 * error["NHG"] and error["CombHG (UA+SC)"] < error["NHG"]
     assert against["NHG"] == 0 and against["CombHG (UA+SC)"] < against["CombHG (UA)"]
     assert np.isfinite([*error.values(), *against.values()]).all()
+
+
+@pytest.mark.parametrize("example", [sinusoid, steering])
+@pytest.mark.parametrize(("argument", "code"), [("--help", 0), ("nonsense", 2), ("--sede=1", 2)])
+def test_examples_explain_themselves_and_take_nothing_else(monkeypatch, capsys, example, argument, code):
+    monkeypatch.setattr(sys, "argv", ["example", argument])
+    with pytest.raises(SystemExit) as stopped:
+        example.main()
+    shown = capsys.readouterr()
+    assert stopped.value.code == code and (example.__doc__.splitlines()[0] in shown.out) == (code == 0)
 
 
 @pytest.mark.slow
