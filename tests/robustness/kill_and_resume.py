@@ -20,11 +20,11 @@ def exit_code(command: Command, seconds: float) -> int | None:
     return command.poll()
 
 
-def kill_and_resume(module: str, state: str, arguments: list[str], kills: int, seed: int, folder: Path) -> int:
+def kill_and_resume(name: str, state: str, arguments: list[str], kills: int, seed: int, folder: Path) -> int:
     """Run a command undisturbed in <folder>/whole, and with `kills` times SIGKILL in <folder>/killed.
 
     Args:
-        module: as `python -m` takes it.
+        name: of the command.
         state: file in the run folder from which `resume` goes on.
         arguments: of the command, without its run folder.
 
@@ -35,17 +35,18 @@ def kill_and_resume(module: str, state: str, arguments: list[str], kills: int, s
         RuntimeError: a process ended by itself with an error.
     """
     rng, started = random.Random(seed), time.monotonic()
-    whole, first = Command(module, *arguments, f"hydra.run.dir={folder}/whole"), math.inf
+    whole, first = Command("airhockey_marl", name, *arguments, f"hydra.run.dir={folder}/whole"), math.inf
     while exit_code(whole, 0.002) is None:
         if first == math.inf and resumable(folder / "whole" / state):
             first = time.monotonic() - started
-    whole.wait()
+    if (done := whole.wait()).returncode:
+        raise RuntimeError(f"{name} ended with {done.returncode}: {done.stderr[-2000:]}")
     rest = time.monotonic() - started - first  # after the first state was written
     killed = resumed = 0
     while True:
         resumes = resumable(folder / "killed" / state)
         new, again = [*arguments, f"hydra.run.dir={folder}/killed"], [f"hydra.run.dir={folder}/again"]
-        command = Command(module, *([f"resume={folder}/killed", *again] if resumes else new))
+        command = Command("airhockey_marl", name, *([f"resume={folder}/killed", *again] if resumes else new))
         # about where the first state is written, and after it
         seconds = rng.uniform(0.5 * first, 1.7 * first + rest / kills) if killed < kills else math.inf
         status = exit_code(command, seconds)
@@ -60,4 +61,4 @@ def kill_and_resume(module: str, state: str, arguments: list[str], kills: int, s
         elif status == -signal.SIGKILL:
             killed += 1
         else:
-            raise RuntimeError(f"{module} ended with {status}: {command.stderr.read_text()[-2000:]}")
+            raise RuntimeError(f"{name} ended with {status}: {command.stderr.read_text()[-2000:]}")

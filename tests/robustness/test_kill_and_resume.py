@@ -9,9 +9,9 @@ from airhockey_marl.experiment.files import load_tensors
 from tests.airhockey_marl.commands.test_cli import pictures, scalars
 from tests.robustness.kill_and_resume import kill_and_resume
 
-TRAIN = ["airhockey_marl.commands.train", "state.safetensors", "+preset=smoke", "steps_per_generation=500"]
-META = ["guidance.commands.meta_train", "state.safetensors", "+preset=smoke", "demonstrations.ticks=400"]
-REPLICATE = ["guidance.commands.replicate", "manifest.json", "+preset=smoke", "sensitivity.points=0", "together=1"]
+TRAIN = ["train", "state.safetensors", "+preset=smoke", "steps_per_generation=500"]
+META = ["meta_train", "state.safetensors", "+preset=smoke", "demonstrations.ticks=400"]
+REPLICATE = ["replicate", "manifest.json", "+preset=smoke", "sensitivity.points=0", "together=1"]
 CASES = {
     "train": [*TRAIN, "generations=30", "pictures_every=3"],
     "meta_train": [*META, "maml.epochs=100", "supervised.epochs=60"],
@@ -45,8 +45,8 @@ def results_of(run: Path) -> dict[str, object]:
 
 def assert_kills_leave_no_trace(tmp_path: Path, case: list[str], kills: int, seed: int) -> int:
     """Kill a command so often and compare: how many of its processes resumed another."""
-    module, state, *arguments = case
-    resumed = kill_and_resume(module, state, arguments, kills, seed, tmp_path)
+    command, state, *arguments = case
+    resumed = kill_and_resume(command, state, arguments, kills, seed, tmp_path)
     whole, killed = (results_of(tmp_path / name) for name in ("whole", "killed"))
     assert whole.keys() == killed.keys()
     for name, content in whole.items():
