@@ -6,7 +6,7 @@ A run folder may be anybody's, and a few lines of yaml can mean a billion: alias
 
 import json
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
@@ -20,11 +20,12 @@ from hydra.core.override_parser.types import ChoiceSweep, Glob, IntervalSweep, O
 from hydra.errors import HydraException
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
-from yaml import AliasEvent, YAMLError
+from yaml import AliasEvent, CollectionEndEvent, CollectionStartEvent, Event, YAMLError
 
 STATE_FILE = "state.safetensors"  # from which a run resumes
 MAX_BYTES = 30_000  # of a kept configuration; the largest that a command of ours writes has 7,000
 MAX_REFERENCES = 16  # in it; ours have 6. Each three of them can make it three times as much at most
+MAX_DEPTH = 64  # of lists and tables in each other; ours have 6. The time to parse them grows with its square
 
 ROOT = Path(__file__).resolve().parents[2]
 _INSTALLED = Path(__file__).resolve().parents[1] / "conf"  # in a source tree a link to ROOT / "conf"
@@ -296,6 +297,16 @@ def _typed_keys(arguments: Sequence[str], cfg: DictConfig) -> list[str]:
     return list(keys)
 
 
+def _events(text: str) -> Iterator[Event]:
+    """The parts of a yaml; a ValueError at the first that lies too deep, before the rest takes minutes to parse."""
+    depth = 0
+    for event in yaml.parse(text):
+        depth += isinstance(event, CollectionStartEvent) - isinstance(event, CollectionEndEvent)
+        if depth > MAX_DEPTH:
+            raise ValueError(f"it is nested more than {MAX_DEPTH} deep")
+        yield event
+
+
 def read_config(file: Path) -> DictConfig:
     """Read a configuration; a ValueError names the file if it is no yaml, no table, or more than it seems."""
     with file.open("rb") as handle:
@@ -304,7 +315,7 @@ def read_config(file: Path) -> DictConfig:
         raise ValueError(f"{file} is of more than {MAX_BYTES} bytes, must be a configuration that a run has kept")
     try:
         text = content.decode("utf-8")
-        if text.count("${") > MAX_REFERENCES or any(isinstance(event, AliasEvent) for event in yaml.parse(text)):
+        if text.count("${") > MAX_REFERENCES or any(isinstance(event, AliasEvent) for event in _events(text)):
             raise ValueError(f"it has aliases, or more than {MAX_REFERENCES} references")
         config = OmegaConf.create(text)
     except (YAMLError, ValueError, RecursionError, OmegaConfBaseException) as error:  # no UTF-8 is a ValueError, too
