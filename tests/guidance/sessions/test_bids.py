@@ -644,6 +644,19 @@ def test_a_crash_before_any_operation_loses_no_game(tmp_path, step):
     assert how_many > 100
 
 
+def test_repeated_crashes_lose_no_game(tmp_path):
+    """Each process dies later than the one before, in the records that that has left."""
+    session(tmp_path / "whole", ["P01"], NAMES[:3])
+    task, kills = (lambda: session(tmp_path / "killed", ["P01"], NAMES[:3])), 0
+    while status := status_of(child(lambda at=5 * kills: killing_itself(at, task))):
+        assert status == -signal.SIGKILL
+        kills += 1
+    assert kills >= 5
+    content = content_of(tmp_path / "killed")
+    assert sum("desc-interrupted" in name for name in content) > 0
+    assert {n: c for n, c in content.items() if "desc-interrupted" not in n} == content_of(tmp_path / "whole")
+
+
 @pytest.mark.parametrize("step", [3, pytest.param(1, marks=pytest.mark.slow)])
 def test_a_crash_in_a_withdrawal_is_finished_later(tmp_path, step):
     def prepare(folder):
