@@ -336,11 +336,12 @@ def test_wrong_values_end_in_one_line_and_leave_nothing(monkeypatch, capsys, tmp
     assert not list(tmp_path.rglob("sub-*"))
 
 
-def test_there_are_as_many_places_as_the_order_is_balanced_for(two):
+def test_there_are_as_many_places_as_the_order_is_balanced_for(monkeypatch, two):
     for other in ("participants=2", "scale=[wenig,viel]", "safety.force=2", "breath=2"):
         code, _, complained = take_part(two, "S9", other)
         assert code == 2 and f"holds a study with {other.partition('=')[0]} = " in complained  # not in these records
     folder = two / "full"
+    monkeypatch.setattr("guidance.sessions.session.Session.run", lambda s: s.participant.give_consent(s.plan.consent))
     assert take_part(folder, "S1", "participants=1")[0] == 0
     code, _, complained = take_part(folder, "S2", "participants=1")
     assert code == 2 and "participants = 1: all places are taken" in complained

@@ -59,6 +59,7 @@ def test_games_of_identical_people_identify_neither(setup):
     assert identification_rate(one, another) < 0.1
 
 
+@pytest.mark.slow
 def test_more_skill_wins_more_and_stops_more(setup):
     found = results_by_skill(Population.default(), 90, setup, 0)
     won, stopped = ([np.nanmean(v) for name, v in found.items() if name.startswith(w)] for w in ("rounds", "shots"))

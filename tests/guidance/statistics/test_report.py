@@ -68,6 +68,12 @@ def written(trials, tmp_path_factory):
     return folder, tests, (folder / "report.html").read_text(encoding="utf-8")
 
 
+@pytest.fixture
+def no_figures(monkeypatch):
+    """Reports without their figures, which take most of the time to write."""
+    monkeypatch.setattr("guidance.statistics.report.save_figure", lambda draw, folder, name, dpi: b"<svg/>")
+
+
 def text_of(page: str) -> str:
     return re.sub(r"\s+", " ", html.unescape(re.sub(r"<style>.*?</style>|<[^>]+>", " ", page, flags=re.DOTALL)))
 
@@ -148,7 +154,7 @@ def test_effect_sizes_stand_in_the_papers_direction(written):
     assert re.search(rf"Mean disagreement \(d\) > \(f\) M \.000 \S+ ≥ 1\.04 {dz['mean_disagreement']:.2f} ", text)
 
 
-def test_page_says_when_a_run_is_not_frozen(written, trials, tmp_path):
+def test_page_says_when_a_run_is_not_frozen(written, trials, tmp_path, no_figures):
     assert "not the frozen study" in written[2]
     write_report(trials, tmp_path, {"frozen": True})
     assert "not the frozen study" not in (tmp_path / "report.html").read_text(encoding="utf-8")
@@ -161,7 +167,7 @@ def test_page_says_when_a_run_is_not_frozen(written, trials, tmp_path):
         (["uphg", "uphg_ua", "uphg_ut_ua"], {"within OAHG", "within CombHG", "types"}),
     ],
 )
-def test_some_conditions_only(trials, tmp_path, chosen, untested):
+def test_some_conditions_only(trials, tmp_path, chosen, untested, no_figures):
     tests = write_report(trials[trials["condition"].isin(chosen)], tmp_path, {}).tests
     text = text_of((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert set(re.search(r"Not tested: ([^.]*)\.", text)[1].strip().split(", ")) == untested
@@ -179,7 +185,7 @@ def test_no_trials_are_refused(trials, tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_too_few_participants(tmp_path):
+def test_too_few_participants(tmp_path, no_figures):
     assert write_report(synthetic_trials(users=2), tmp_path, {}).tests.empty
     text = text_of((tmp_path / "report.html").read_text(encoding="utf-8"))
     assert "too few participants (2)" in text
@@ -359,7 +365,7 @@ def test_command_names_what_is_wrong(sweep, tmp_path):
     assert done.stderr.strip() == "error: every participant must have played every condition: S01 lacks uphg"
 
 
-def test_withdrawn_proxies_count_for_nothing(trials, tmp_path):
+def test_withdrawn_proxies_count_for_nothing(trials, tmp_path, no_figures):
     whole, less = tmp_path / "whole", tmp_path / "less"
     tests = write_report(trials, whole, {"config": {"users": {"withdrawn": []}}}).tests
     write_report(trials, less, {"config": {"users": {"withdrawn": ["comfort", "helpfulness"]}}})
@@ -425,7 +431,7 @@ def test_what_people_say_is_a_rating(trials, tmp_path):
     assert withdrawn < 38 and "comparisons among" not in text  # all 38 count
 
 
-def test_manifests_that_say_nothing_or_simulated_are_of_simulated_people(trials, tmp_path):
+def test_manifests_that_say_nothing_or_simulated_are_of_simulated_people(trials, tmp_path, no_figures):
     for name, manifest in (("nothing", {}), ("simulated", {"participants": "simulated"})):
         write_report(trials, tmp_path / name, manifest)
     pages = [page_of(tmp_path / name).partition("Provenance")[0] for name in ("nothing", "simulated")]
@@ -456,7 +462,7 @@ def unfinished(users: int = 5) -> pd.DataFrame:
     return trials[keep]
 
 
-def test_people_who_have_not_finished(tmp_path):
+def test_people_who_have_not_finished(tmp_path, no_figures):
     trials = unfinished()
     tests = write_report(trials, tmp_path, PEOPLE).tests
     whole = run_tests(synthetic_trials(users=5).query("user in ['S01', 'S02', 'S03']"), people=True)
@@ -473,7 +479,7 @@ def test_people_who_have_not_finished(tmp_path):
         check_trials(trials)
 
 
-def test_families_that_too_few_people_have_finished_are_named(tmp_path):
+def test_families_that_too_few_people_have_finished_are_named(tmp_path, no_figures):
     tests = write_report(unfinished(4), tmp_path / "all", PEOPLE).tests
     text = text_of(page_of(tmp_path / "all"))
     assert "Not tested: within UPHG, within CombHG, types. Fewer than three" in text
@@ -546,7 +552,7 @@ def test_counts_side_by_side_are_of_findings_that_both_tested(groups):
     assert again["first"] == again["second"] == 0 < again["both"]
 
 
-def test_groups_of_a_kind_are_told_apart(trials, tmp_path):
+def test_groups_of_a_kind_are_told_apart(trials, tmp_path, no_figures):
     simulated = Group(synthetic_trials(seed=2), {})
     write_report(trials, tmp_path, SIMULATED, simulated)
     text = text_of(page_of(tmp_path))
@@ -639,7 +645,7 @@ def test_declared_conditions_keep_letter_label_and_color(declared_trials, tmp_pa
     assert [bar.get_facecolor() for bar in bars][-1] == to_rgba("#123456")
 
 
-def test_planned_comparisons_show_every_row(declared_trials, tmp_path):
+def test_planned_comparisons_show_every_row(declared_trials, tmp_path, no_figures):
     tests = write_report(declared_trials, tmp_path, DECLARED).tests
     planned = tests[tests["test"] == "planned"]
     assert set(planned["family"]) == {"mine"} and len(planned) == 2 * 8

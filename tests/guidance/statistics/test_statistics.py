@@ -282,7 +282,7 @@ def test_shuffled_labels_give_nominal_false_positives():
     trials = synthetic_trials(effect=0.3).fillna(4.0)
     rng = np.random.default_rng(7)
     p_pairs, p_anova, significant = [], [], []
-    for _ in range(15):
+    for _ in range(10):
         shuffled = trials.assign(condition=trials.groupby("user")["condition"].transform(rng.permutation))
         tests = run_tests(shuffled)
         p_pairs += tests.loc[tests["test"] != "rm_anova", "p"].tolist()

@@ -68,6 +68,7 @@ def test_the_lead_of_a_model_that_extrapolates_is_its_look_ahead():
 
 def test_the_command_writes_what_it_found_and_what_it_rests_on(monkeypatch, tmp_path, capsys):
     short = ["study.rounds=2", "study.extra_rounds=0", "study.min_seconds=0", "study.round_seconds=12", "games=2"]
+    short += ["stability.lookaheads=[0.05,0.2]"]
     monkeypatch.setattr(sys, "argv", ["calibrate", "opponent=80", *short, f"hydra.run.dir={tmp_path}"])
     run(calibrate.__name__)
     found = OmegaConf.load(tmp_path / "calibration.yaml")
