@@ -75,6 +75,13 @@ def start(module: str, *arguments: object, timeout: float = 300.0, **options) ->
     return Command(module, *arguments, **options).wait(timeout)
 
 
+def smoke(module: str, *arguments: object) -> CompletedProcess:
+    """The same with the budgets of the preset `smoke`; it must succeed."""
+    done = start(module, *arguments, "+preset=smoke")
+    assert done.returncode == 0, done.stderr
+    return done
+
+
 def _run(
     args: list[str], cwd: str, env: dict[str, str], before: Callable[[], None] | None, stdout: str, stderr: str
 ) -> None:

@@ -6,20 +6,14 @@ import pandas as pd
 import pytest
 
 from airhockey_marl.experiment.files import load_tensors
-from tests.processes import start
+from tests.processes import smoke, start
 
 PLUGIN = "--plugin=tests.example_plugin"
 
 
-def run(*arguments: str):
-    done = start(*arguments, PLUGIN, "+preset=smoke")
-    assert done.returncode == 0, done.stderr
-    return done
-
-
 def test_train_takes_an_algorithm_a_sampler_and_a_scripted_player(tmp_path):
     chosen = "algorithm=hill_climbing", "algorithm.step=0.01", "league=latest", "league.sampler=oldest"
-    run("airhockey_marl", "train", *chosen, "league.scripted_players=[wall]", f"hydra.run.dir={tmp_path}")
+    smoke("airhockey_marl", "train", PLUGIN, *chosen, "league.scripted_players=[wall]", f"hydra.run.dir={tmp_path}")
     config = json.loads((tmp_path / "card.json").read_text())["config"]
     assert config["algorithm"] == {"name": "hill_climbing", "step": 0.01}
     assert config["league"]["sampler"] == "oldest" and config["league"]["scripted_players"] == ["wall"]
@@ -29,7 +23,7 @@ def test_train_takes_an_algorithm_a_sampler_and_a_scripted_player(tmp_path):
 
 
 def test_evaluate_takes_a_condition_and_a_metric(tmp_path):
-    run("guidance", "evaluate", "beyond=[half]", "metrics=[hand_path]", f"hydra.run.dir={tmp_path}")
+    smoke("guidance", "evaluate", PLUGIN, "beyond=[half]", "metrics=[hand_path]", f"hydra.run.dir={tmp_path}")
     trials, tests = pd.read_csv(tmp_path / "trials.csv"), pd.read_csv(tmp_path / "tests.csv")
     assert list(trials["condition"].unique())[-1] == "half" and len(trials) == 40
     assert trials["hand_path"].between(0.1, 20.0).all()
@@ -43,7 +37,7 @@ def test_evaluate_takes_a_condition_and_a_metric(tmp_path):
 
 
 def test_a_condition_of_a_plugin_is_played_alone(tmp_path):
-    run("guidance", "evaluate", "condition=half", f"hydra.run.dir={tmp_path}")
+    smoke("guidance", "evaluate", PLUGIN, "condition=half", f"hydra.run.dir={tmp_path}")
     manifest = json.loads((tmp_path / "manifest.json").read_text())
     assert [c["name"] for c in manifest["conditions"]] == ["half"] and manifest["conditions"][0]["letter"] == "m"
 

@@ -1,7 +1,6 @@
 """The commands as people run them: whole, on tiny budgets, and with everything that can be typed wrong."""
 
 import json
-import subprocess
 import time
 from pathlib import Path
 
@@ -14,10 +13,11 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 from airhockey_marl.__main__ import find_commands
 from airhockey_marl.experiment.command import CONF, run
 from airhockey_marl.experiment.files import load_tensors, save_tensors
+from airhockey_marl.experiment.run_record import read_run
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.study.models import Models
 from guidance.study.setup import file_hashes, manifest
-from tests.processes import Command, start
+from tests.processes import Command, smoke, start
 
 COMMANDS = find_commands()
 
@@ -33,40 +33,24 @@ def kill_at_the_first_checkpoint(run: Path, *arguments: str) -> Path:
     return run
 
 
-def smoke(*arguments: str) -> subprocess.CompletedProcess:
-    done = start(*arguments, "+preset=smoke")
-    assert done.returncode == 0, done.stderr
-    return done
+def models_of(runs: Path) -> list[str]:
+    files = {"league": "train/league", "user": "meta_train/user", "meta": "meta_train/meta"}
+    return [f"models.{name}={runs}/{file}.safetensors" for name, file in files.items()]
 
 
-@pytest.fixture(scope="module")
-def trained(tmp_path_factory) -> dict[str, Path]:
-    """A league and user models from the commands themselves."""
-    folder = tmp_path_factory.mktemp("trained")
-    smoke("airhockey_marl.train", f"hydra.run.dir={folder}/train")
-    league = folder / "train" / "league.safetensors"
-    smoke("guidance", "meta_train", f"models.opponents={league}", "opponent=1", f"hydra.run.dir={folder}/meta")
-    return {"league": league, "user": folder / "meta/user.safetensors", "meta": folder / "meta/meta.safetensors"}
-
-
-@pytest.fixture(scope="module")
-def models(trained) -> list[str]:
-    return [*(f"models.{name}={path}" for name, path in trained.items()), "opponent=1"]
-
-
-def test_train_writes_a_league_a_card_and_what_tensorboard_reads(trained):
-    folder = trained["league"].parent
-    tensors, facts = load_tensors(trained["league"])
+def test_train_writes_a_league_a_card_and_what_tensorboard_reads(runs):
+    folder = runs / "train"
+    tensors, facts = load_tensors(folder / "league.safetensors")
     assert facts == {"hidden": [64, 64], "inputs": "paddle"} and {len(tensor) for tensor in tensors.values()} == {3}
     card = json.loads((folder / "card.json").read_text())
     assert card["generations"] == 3 and card["steps"] == 2000 and len(set(card["hashes"])) == 3
     assert list(folder.glob("tensorboard/events*"))
 
 
-@pytest.mark.parametrize("env", ["batched", "pettingzoo"])
-def test_train_gives_the_same_weights_for_the_same_seed_in_either_environment(trained, tmp_path, env):
-    smoke("airhockey_marl.train", f"env={env}", f"hydra.run.dir={tmp_path}")
-    first, second = (json.loads((f / "card.json").read_text()) for f in (trained["league"].parent, tmp_path))
+def test_train_gives_the_same_weights_for_the_same_seed_in_either_environment(runs, tmp_path):
+    """Twice in the same: see `test_pictures_do_not_change_the_league`."""
+    smoke("airhockey_marl.train", "env=pettingzoo", f"hydra.run.dir={tmp_path}")
+    first, second = (json.loads((f / "card.json").read_text()) for f in (runs / "train", tmp_path))
     assert first["hashes"] == second["hashes"]
 
 
@@ -80,8 +64,10 @@ def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, how, draw
     whole = start("airhockey_marl.train", *few, f"hydra.run.dir={tmp_path}/whole")
     assert whole.returncode == 0, whole.stderr
     killed = kill_at_the_first_checkpoint(tmp_path / "killed", "airhockey_marl.train", *few)
+    assert (read_run(killed).state, read_run(killed).resumable) == ("interrupted", True)
     resumed = start("airhockey_marl.train", f"resume={killed}", f"hydra.run.dir={tmp_path}/log")
     assert resumed.returncode == 0, resumed.stderr
+    assert [read_run(folder).state for folder in (killed, tmp_path / "log")] == ["done", "done"]
     first, second = (json.loads((tmp_path / name / "card.json").read_text()) for name in ("whole", "killed"))
     assert first["hashes"] == second["hashes"] and len(first["hashes"]) == 5
     assert first["win_rate_of_last_against"] == second["win_rate_of_last_against"]
@@ -92,9 +78,9 @@ def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, how, draw
     assert shown == pictures(tmp_path / "whole") and sum(map(len, shown.values())) == 2 * drawn
 
 
-def test_meta_train_killed_and_resumed_ends_like_one_never_killed(trained, tmp_path):
+def test_meta_train_killed_and_resumed_ends_like_one_never_killed(runs, tmp_path):
     """SIGKILL in the first training, and resume; then the weights, the scores and the scalars are the same."""
-    few = ["+preset=smoke", f"models.opponents={trained['league']}", "opponent=1"]
+    few = ["+preset=smoke", f"models.opponents={runs}/train/league.safetensors", "opponent=1"]
     few += ["maml.epochs=6", "supervised.epochs=3"]
     whole = start("guidance", "meta_train", *few, f"hydra.run.dir={tmp_path}/whole")
     assert whole.returncode == 0, whole.stderr
@@ -125,8 +111,8 @@ def pictures(run: Path, part: str = ".") -> dict[str, list[tuple[int, bytes]]]:
     return {name: [(event.step, event.encoded_image_string) for event in images] for name, images in shown.items()}
 
 
-def test_tensorboard_shows_each_generation_once(trained):
-    shown = scalars(trained["league"].parent)
+def test_tensorboard_shows_each_generation_once(runs):
+    shown = scalars(runs / "train")
     assert {"update/kl", "update/std", "win_rate_against/0", "win_rate_against/striker"} <= set(shown)
     assert all([step for step, _ in values] == [1000, 2000] for values in shown.values())
 
@@ -140,30 +126,23 @@ def test_validate_users_measures_and_draws(tmp_path):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
 
-def test_a_league_is_reported_whole(trained, tmp_path):
-    done = smoke("airhockey_marl", "league_report", f"run={trained['league'].parent}", f"hydra.run.dir={tmp_path}")
-    assert "beats generation 0: wins" in done.stdout
+def test_a_league_is_reported_whole(runs):
+    folder = runs / "league_report"
+    assert "beats generation 0: wins" in (runs / "league_report.txt").read_text()
     for name in ("league_report.html", "league_report.json", "payoff.csv", "ratings.csv", "match.gif"):
-        assert (tmp_path / name).stat().st_size > 100
-    found = json.loads((tmp_path / "league_report.json").read_text())
+        assert (folder / name).stat().st_size > 100
+    found = json.loads((folder / "league_report.json").read_text())
     assert [steps for steps, _ in found["best_response"]] == [1000]
 
 
-def test_meta_train_scores_itself_on_people_it_has_not_seen(trained):
-    card = json.loads((trained["meta"].parent / "card.json").read_text())
+def test_meta_train_scores_itself_on_people_it_has_not_seen(runs):
+    card = json.loads((runs / "meta_train" / "card.json").read_text())
     scores = card["on_nine_others"]
     assert all(score > -100 and score == score for score in scores.values()) and "persistence_rmse" in scores
 
 
-@pytest.fixture(scope="module")
-def study(models, tmp_path_factory) -> tuple[Path, str]:
-    """The run folder of all nine conditions, and what the command prints."""
-    folder = tmp_path_factory.mktemp("study") / "run"
-    return folder, smoke("guidance.evaluate", *models, f"hydra.run.dir={folder}").stdout
-
-
-def test_evaluate_all_nine(study):
-    folder, output = study
+def test_evaluate_all_nine(runs):
+    folder, output = runs / "evaluate", (runs / "evaluate.txt").read_text(encoding="utf-8")
     trials = pd.read_csv(folder / "trials.csv")
     assert len(trials) == 9 * 4 and trials["condition"].nunique() == 9
     for name in ("tests.csv", "figure6.png", "figure6.svg", "report.html", "manifest.json"):
@@ -187,15 +166,15 @@ def test_the_shipped_defaults_are_the_frozen_study():
     assert not manifest(cfg, file_hashes(cfg, models), "", 0.0)["frozen"]
 
 
-def test_a_sweep_over_the_nine_merges_into_the_report_of_one_run(monkeypatch, models, study, tmp_path):
+def test_a_sweep_over_the_nine_merges_into_the_report_of_one_run(monkeypatch, runs, tmp_path):
     monkeypatch.setenv("AIRHOCKEY_OUTPUTS", str(tmp_path / "outputs"))
-    smoke("guidance.evaluate", "-m", "condition=glob(*)", *models)
+    smoke("guidance.evaluate", "-m", "condition=glob(*)", "seed=3", *models_of(runs))
     (sweep,) = (tmp_path / "outputs" / "evaluate").glob("*/*-sweep")
     assert len(list(sweep.glob("*/trials.csv"))) == 9
     done = start("guidance", "report", f"runs={sweep}", f"out={tmp_path}/merged", f"hydra.run.dir={tmp_path}/r")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "merged" / "report.html").is_file()
-    assert (tmp_path / "merged" / "tests.csv").read_bytes() == (study[0] / "tests.csv").read_bytes()
+    assert (tmp_path / "merged" / "tests.csv").read_bytes() == (runs / "evaluate" / "tests.csv").read_bytes()
 
 
 def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
@@ -293,8 +272,8 @@ def test_models_of_another_kind_or_broken_are_refused(capsys, tmp_path):
     assert "not a file of this project" in complaint(capsys, tmp_path, "evaluate", f"models.user={other}")
 
 
-def test_commands_start_from_any_folder(models, tmp_path):
-    arguments = ["evaluate", "+preset=smoke", "condition=nhg", *models, "hydra.run.dir=run"]
+def test_commands_start_from_any_folder(tmp_path):
+    arguments = ["evaluate", "+preset=smoke", "condition=nhg", "hydra.run.dir=run"]
     done = start("airhockey_marl", *arguments, cwd=tmp_path)
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "run" / "trials.csv").is_file()

@@ -13,7 +13,6 @@ from airhockey_marl.commands import runs
 from airhockey_marl.experiment.command import run as start_command
 from airhockey_marl.experiment.run_folder import files_at_risk, note_headline
 from airhockey_marl.experiment.run_record import RECORD, RunRecord, listing, process_start, read_run, runs_below
-from tests.airhockey_marl.commands.test_cli import kill_at_the_first_checkpoint
 from tests.processes import start
 
 HERE = socket.gethostname()
@@ -191,12 +190,3 @@ def test_wrong_values_are_named(monkeypatch, capsys, outputs, argument, message)
     with pytest.raises(SystemExit) as stopped:
         call(monkeypatch, *([] if "outputs" in argument else [f"outputs={outputs}"]), argument)
     assert stopped.value.code == 2 and message in capsys.readouterr().err
-
-
-def test_a_killed_run_is_interrupted_and_done_once_it_was_resumed(tmp_path):
-    few = ["+preset=smoke", "generations=4", "steps_per_generation=500"]
-    killed = kill_at_the_first_checkpoint(tmp_path / "killed", "airhockey_marl.train", *few)
-    assert (read_run(killed).state, read_run(killed).resumable) == ("interrupted", True)
-    done = start("airhockey_marl.train", f"resume={killed}", f"hydra.run.dir={tmp_path}/log")
-    assert done.returncode == 0, done.stderr
-    assert [read_run(tmp_path / name).state for name in ("killed", "log")] == ["done", "done"]

@@ -31,7 +31,7 @@ from guidance.forces.conditions import GuidanceOutput
 from guidance.statistics import tensorboard as study
 from guidance.statistics.design import CONDITIONS, METRICS
 from guidance.statistics.tensorboard import BINS, Histograms
-from tests.airhockey_marl.commands.test_cli import smoke
+from tests.processes import smoke
 
 SIZES = {"scalars": 0, "histograms": 0, "images": 0, "tensors": 0}
 # of each command, the module with its tags, and the folder of the event file that has the run's header
@@ -42,18 +42,6 @@ COMMANDS = {
     "evaluate": (study, "."),
 }
 SCORED = ("train", "meta_train", "evaluate")
-
-
-@pytest.fixture(scope="module")
-def runs(tmp_path_factory):
-    """A league, its report, user models and a study of the smallest kind, from the commands."""
-    folder = tmp_path_factory.mktemp("runs")
-    smoke("airhockey_marl.train", f"hydra.run.dir={folder}/train")
-    report = ["exploit_generations=0", f"run={folder}/train", f"hydra.run.dir={folder}/league_report"]
-    smoke("airhockey_marl", "league_report", *report)
-    smoke("guidance", "meta_train", "seed=4", f"hydra.run.dir={folder}/meta_train")
-    smoke("guidance.evaluate", "seed=3", f"hydra.run.dir={folder}/evaluate")
-    return folder
 
 
 def events_of(folder, part: str = ".") -> EventAccumulator:
