@@ -75,9 +75,9 @@ def start(module: str, *arguments: object, timeout: float = 300.0, **options) ->
     return Command(module, *arguments, **options).wait(timeout)
 
 
-def smoke(module: str, *arguments: object) -> CompletedProcess:
+def smoke(module: str, *arguments: object, **options) -> CompletedProcess:
     """The same with the budgets of the preset `smoke`; it must succeed."""
-    done = start(module, *arguments, "+preset=smoke")
+    done = start(module, *arguments, "+preset=smoke", **options)
     assert done.returncode == 0, done.stderr
     return done
 
