@@ -204,7 +204,7 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
 @pytest.mark.parametrize(
     ("name", "argument", "message"),
     [
-        ("evaluate", "condition=oahg_utt", "condition = oahg_utt must be one of combhg_ua, "),
+        ("evaluate", "condition=oahg_utt", "condition = oahg_utt must be one of beyond/approach_gated, "),
         ("evaluate", "+preset=tiny", "preset = tiny must be one of smoke"),
         ("evaluate", "participants=0", "participants = 0 must be a whole number of at least 1"),
         ("evaluate", "guidance.spring.stiffness=-50", "stiffness = -50"),
@@ -251,8 +251,8 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
         ("watch", "frames_per_second=24", "frames_per_second = 24 must divide 50"),
         ("watch", "speed=3", "speed = 3 must be a finite number above 0 and at most 2"),
         ("watch", "width=100", "width = 100 must be a whole number of at least"),
-        ("watch", "~condition", "~condition: condition cannot be left out, must be one of combhg_ua, "),
-        ("watch", "condition.letter=7", "condition.letter = 7 must be a text"),
+        ("watch", "~condition", "~condition: condition cannot be left out, must be one of beyond/approach_gated, "),
+        ("watch", "condition.letter=7", "condition.letter = '7' must be one of a to z"),
         ("collect", "people=everyone", "people = everyone must be training or study"),
         ("collect", "demonstrations.ticks=2.5", "demonstrations.ticks = 2.5 must be a whole number"),
         ("collect", "opponent=1000", "generation = 1000 must be below 101"),
