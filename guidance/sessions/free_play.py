@@ -20,8 +20,8 @@ from guidance.sessions.recording import Recording
 from guidance.sessions.tick_log import COLUMNS, TickLog, demonstration, scene_facts, tapped_guidance
 from guidance.study.games import GameRunner, MetricsRecorder
 from guidance.study.models import Models
+from guidance.user_model.data import MIN_DEMONSTRATION_TICKS
 
-MIN_DEMONSTRATION_TICKS = 500  # 10 s; half a minute of play adapts as well as eight minutes
 NOTE_SECONDS = 3.0  # s for which a note is shown
 OPPONENT_STEP = 5  # generations between two opponents of page up and page down
 

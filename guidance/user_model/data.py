@@ -3,7 +3,7 @@
 Recorded play is observations (..., ticks, 12) and actions (..., ticks, 2).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import torch
@@ -11,6 +11,8 @@ from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
 from guidance.simulated_users.arm import HAND_REACH
+
+MIN_DEMONSTRATION_TICKS = 500  # 10 s; half a minute of play adapts as well as eight minutes
 
 Samples = tuple[Tensor, Tensor]
 
@@ -46,16 +48,16 @@ class Demonstrations:
                 f"{tuple(self.observation.shape)}, {self.observation.dtype}"
             )
 
+    def __len__(self) -> int:
+        return len(self.action)
+
     def to(self, device: str) -> "Demonstrations":
         """A copy on another device."""
         return Demonstrations(self.observation.to(device), self.action.to(device))
 
     def batches(self, size: int, generator: torch.Generator | None = None) -> Iterator[Samples]:
         """All ticks of all users once, shuffled, in batches (size, .); the last may be smaller."""
-        observation, action = self.observation.flatten(0, 2), self.action.flatten(0, 2)  # (n, 12), (n, 2)
-        for index in torch.randperm(len(action), generator=generator).split(size):
-            index = index.to(action.device)
-            yield observation[index], action[index]
+        return _shuffled_batches(self.observation.flatten(0, 2), self.action.flatten(0, 2), size, generator)
 
     def pairs(self, block: int, generator: torch.Generator | None = None) -> Iterator[tuple[Samples, Samples]]:
         """D_demo and D_valid of all users, one pair per meta-step.
@@ -87,6 +89,100 @@ class Demonstrations:
         user = torch.arange(users, device=action.device)
         for demo, valid in zip(order[:, :half].T, order[:, half : 2 * half].T, strict=True):  # each (users,)
             yield (observation[user, demo], action[user, demo]), (observation[user, valid], action[user, valid])
+
+
+@dataclass(frozen=True)
+class Recordings:
+    """D^U of recorded people: as `Demonstrations`, but for games of any number and length.
+
+    Attributes:
+        people: label -> pieces of play, each observation (ticks, 12) and action (ticks, 2), contiguous in time.
+    """
+
+    people: Mapping[str, list[Samples]]
+
+    def __len__(self) -> int:
+        return len(self.people)
+
+    def to(self, device: str) -> "Recordings":
+        """A copy on another device."""
+        return self._map(lambda observation, action: (observation.to(device), action.to(device)))
+
+    def ahead(self, seconds: float, table: TableSpec) -> "Recordings":
+        """The same play with the action `seconds` after each tick, see `action_ahead`."""
+        return self._map(lambda observation, action: (observation, action_ahead(observation, action, seconds, table)))
+
+    def split(self, share: float) -> tuple["Recordings", "Recordings"]:
+        """The play without the last `share` of each person's ticks, and these; a piece of both is cut in two."""
+        parts: tuple[dict[str, list[Samples]], dict[str, list[Samples]]] = {}, {}
+        for label, pieces in self.people.items():
+            left = sum(len(action) for _, action in pieces)
+            left -= round(share * left)
+            for part in parts:
+                part[label] = []
+            for piece in pieces:
+                length = min(left, len(piece[1]))
+                left -= length
+                for part, place in zip(parts, (slice(length), slice(length, None)), strict=True):
+                    observation, action = (tensor[place] for tensor in piece)
+                    part[label] += [(observation, action)] if len(action) else []
+        return Recordings(parts[0]), Recordings(parts[1])
+
+    def batches(self, size: int, generator: torch.Generator | None = None) -> Iterator[Samples]:
+        """All ticks of all people once, shuffled, in batches (size, .); the last may be smaller."""
+        observations, actions = zip(*(piece for own in self.people.values() for piece in own), strict=True)
+        return _shuffled_batches(torch.cat(observations), torch.cat(actions), size, generator)
+
+    def pairs(self, block: int, generator: torch.Generator | None = None) -> Iterator[tuple[Samples, Samples]]:
+        """D_demo and D_valid of all people, one pair per meta-step: the blocks of a pair are of two pieces.
+
+        As `Demonstrations.pairs`, with two differences: the person with the most blocks sets the number of meta-steps,
+        and the others' blocks come again; a piece with more than half of a person's blocks is paired with itself.
+        Everybody must have two blocks or more.
+        """
+        own = [_blocks(pieces, block) for pieces in self.people.values()]
+        endless = [_endless_pairs(blocks, generator) for blocks in own]
+        for _ in range(max(map(len, own)) // 2):
+            demo, valid = zip(*map(next, endless), strict=True)  # a block per person each
+            yield _stacked(demo), _stacked(valid)
+
+    def _map(self, change: Callable[[Tensor, Tensor], Samples]) -> "Recordings":
+        return Recordings({label: [change(*piece) for piece in pieces] for label, pieces in self.people.items()})
+
+
+def _shuffled_batches(
+    observation: Tensor, action: Tensor, size: int, generator: torch.Generator | None
+) -> Iterator[Samples]:
+    """Rows (n, 12) and (n, 2) once, shuffled, in batches of `size`."""
+    for index in torch.randperm(len(action), generator=generator).split(size):
+        index = index.to(action.device)
+        yield observation[index], action[index]
+
+
+def _stacked(samples: tuple[Samples, ...]) -> Samples:
+    observations, actions = zip(*samples, strict=True)
+    return torch.stack(observations), torch.stack(actions)
+
+
+def _blocks(pieces: list[Samples], block: int) -> list[tuple[int, Samples]]:
+    """The full blocks of one person's pieces, each with the number of its piece."""
+    cut = ((number, zip(*(part.split(block) for part in piece), strict=True)) for number, piece in enumerate(pieces))
+    return [(number, samples) for number, parts in cut for samples in parts if len(samples[1]) == block]
+
+
+def _endless_pairs(
+    blocks: list[tuple[int, Samples]], generator: torch.Generator | None
+) -> Iterator[tuple[Samples, Samples]]:
+    """Two blocks of one person at a time, each once before any comes again; ordered as in `Demonstrations.pairs`."""
+    piece, half = torch.tensor([number for number, _ in blocks]), len(blocks) // 2
+    while True:
+        rank = torch.rand(int(piece.max()) + 1, generator=generator).argsort().double()
+        within = torch.rand(len(blocks), generator=generator, dtype=torch.float64)
+        order = (rank[piece] + within).argsort().tolist()
+        yield from (
+            (blocks[demo][1], blocks[valid][1])
+            for demo, valid in zip(order[:half], order[half : 2 * half], strict=True)
+        )
 
 
 def round_starts(observation: Tensor, table: TableSpec) -> Tensor:

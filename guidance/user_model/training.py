@@ -19,14 +19,14 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.func import grad_and_value
 
-from guidance.user_model.data import Demonstrations, Samples
+from guidance.user_model.data import Demonstrations, Recordings, Samples
 from guidance.user_model.loss import prediction_loss
 from guidance.user_model.maml import adapt_stacked, forward, meta_loss, parameters
 
 
 def train_supervised(
     model: nn.Module,
-    data: Demonstrations,
+    data: Demonstrations | Recordings,
     epochs: int = 100,
     batch_size: int = 1000,
     lr: float = 1e-3,
@@ -66,7 +66,7 @@ def train_supervised(
 
 def train_maml(
     model: nn.Module,
-    data: Demonstrations,
+    data: Demonstrations | Recordings,
     epochs: int = 200,
     block: int = 1000,
     inner_lr: float = 0.1,
@@ -109,7 +109,7 @@ def train_maml(
         FloatingPointError: the loss or its gradient is no longer finite.
     """
     optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
-    params, objective, users = parameters(model), partial(_data_loss, model), len(data.action)
+    params, objective, users = parameters(model), partial(_data_loss, model), len(data)
 
     def eq2(theta: TensorDict, demo: Samples, valid: Samples) -> Tensor:
         return meta_loss(theta, objective, demo, valid, inner_lr, steps, first_order)

@@ -31,6 +31,7 @@ from guidance.simulated_users import SimulatedUsers, sample_people
 from guidance.study.models import Models
 from guidance.study.protocol import spawn_rng_states
 from guidance.study.setup import load_conditions
+from guidance.user_model.recordings import read_recordings
 from tests.processes import Command, start
 
 TABLE = TableSpec()
@@ -129,6 +130,16 @@ def test_a_guidance_with_ua_waits_for_the_players_own_game(shipped, tmp_path):
     assert ticks["w_sim"].notna().all() and game.games["03combhgutuasc"].facts["adapted"]
     general = read_ticks(game.games["01nhg"].file)
     assert len(general) == enough + 51 and not game.games["01nhg"].facts["adapted"]
+
+
+def test_unguided_play_is_data_of_ones_own(shipped, tmp_path):
+    game, _ = played(shipped, tmp_path / "anna", 12.0, (200, "2"), (300, "1"))
+    found, facts = read_recordings(tmp_path, 50)
+    assert list(found.people) == ["anna"] == [*read_recordings(game.games["01nhg"].file, 50)[0].people]
+    assert facts["games"] == 2 and facts["left_out"]["games_with_guidance"] == 1
+    for (observation, action), name in zip(found.people["anna"], ("01nhg", "03nhg"), strict=True):
+        recorded = demonstration(read_ticks(game.games[name].file))
+        assert torch.equal(observation, recorded[0]) and torch.equal(action, recorded[1])
 
 
 def test_a_mouse_plays_where_it_points(shipped, tmp_path):
