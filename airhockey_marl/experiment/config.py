@@ -35,7 +35,7 @@ COMMAND_GROUPS = ("preset", "sweep")  # with a folder for each command, conf/pre
 # keys of names and paths for which the yaml has no text: nothing, or an empty list
 TEXT_KEYS = {
     *("participant", "resume", "run", "runs", "game", "beside", "out", "by", "command", "status", "ray", "address"),
-    *("beyond", "metrics", "scripted_players", "partition", "account"),
+    *("beyond", "metrics", "scripted_players", "partition", "account", "data"),
 }
 KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}  # of simple values
 

@@ -6,7 +6,9 @@
     tensorboard --logdir outputs                       watch
 
 Writes into its run folder: meta.safetensors, user.safetensors, card.json (configuration, and prediction errors on
-unseen people), tensorboard/, and after each epoch state.safetensors, from which `resume` continues.
+unseen people), tensorboard/, and after each epoch state.safetensors, from which `resume` continues. With `data` every
+person in it is a training user, the errors are on the last part of each person's play, which nothing is trained on, and
+data.json says what was read and left out. guidance/user_model/README.md has the columns of a table of your own.
 """
 
 from __future__ import annotations
@@ -21,14 +23,14 @@ from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.config import STATE_FILE, InputError
-from airhockey_marl.experiment.files import sha256, write_json
+from airhockey_marl.experiment.files import load_json, sha256, write_json
 from airhockey_marl.experiment.progress import ProgressBar, progress_bar
 from airhockey_marl.experiment.run_folder import card_facts, lock_run_folder, note_headline
 
 if TYPE_CHECKING:
     from torch import nn
 
-    from guidance.user_model.data import Demonstrations
+    from guidance.user_model.data import Demonstrations, Recordings, Samples
 
 TAGS = {
     "maml/*": "per epoch: loss of Eq. 3 after adaptation (Eq. 2), and loss_before it",
@@ -48,54 +50,122 @@ HELD_OUT_SEED = 1_000_003  # the card's people: neither the training users nor t
 
 def check(cfg: DictConfig) -> None:
     require_counts(cfg, "maml.epochs", "maml.block", "supervised.epochs", "supervised.batch_size")
-    require_counts(cfg, "demonstrations.games", least=2)  # one to adapt to and one to validate on
-    require_counts(cfg, "demonstrations.ticks", least=cfg.maml.block)
+    if cfg.data is None:
+        require_counts(cfg, "demonstrations.games", least=2)  # one to adapt to and one to validate on
+        require_counts(cfg, "demonstrations.ticks", least=cfg.maml.block)
+    require_numbers(cfg, "hold_out", least=0.05, at_most=0.5)
     require_numbers(cfg, "ahead", least=0.0, at_most=1.0)
     require_numbers(cfg, "maml.inner_lr", "maml.lr", "maml.max_norm", "supervised.lr")
     if cfg.maml.compiled and not any(map(shutil.which, COMPILERS)):
         raise InputError(f"maml.compiled = true needs a C++ compiler, one of {', '.join(COMPILERS)}, and finds none")
 
 
+class SimulatedPeople:
+    """Nine simulated training users, and nine others on whom the models are tested."""
+
+    def __init__(self, cfg: DictConfig) -> None:
+        from guidance.simulated_users import load_population
+        from guidance.study.demonstrations import collect_demonstrations
+        from guidance.study.setup import load_play_setup
+
+        self.cfg, self.population, self.setup = cfg, load_population(cfg.users), load_play_setup(cfg)
+        self.play = partial(collect_demonstrations, setup=self.setup, **cfg.demonstrations)
+        self.progress = ProgressBar()
+
+    def training_data(self, folder: Path) -> Demonstrations:
+        from guidance.simulated_users import training_people
+        from guidance.user_model.data import Demonstrations, action_ahead
+
+        people = training_people(self.cfg.seed, self.population)
+        data = self.play(people, seed=self.cfg.seed, progress=partial(self.progress, "nine people play"))
+        self.progress.close()
+        action = action_ahead(data.observation, data.action, self.cfg.ahead, self.setup.table)
+        return Demonstrations(data.observation, action)
+
+    def tests(self) -> list[tuple[Samples, Samples]]:
+        """Of each of nine others a game for UA, and one to predict."""
+        from guidance.simulated_users import sample_people
+
+        others = sample_people(9, HELD_OUT_SEED, self.population)
+        data = self.play(others, seed=HELD_OUT_SEED, progress=partial(self.progress, "nine others play"))
+        self.progress.close()
+        people = zip(data.observation, data.action, strict=True)
+        return [((states[0], actions[0]), (states[-1], actions[-1])) for states, actions in people]
+
+    def card(self, scores: dict[str, float]) -> dict:
+        return {
+            "data": "nine simulated training users, {games} x {ticks} ticks each".format(**self.cfg.demonstrations),
+            "opponents_sha256": sha256(self.cfg.models.opponents),
+            "on_nine_others": scores,
+        }
+
+
+class RecordedPeople:
+    """The people of `data`, whose last play the models are tested on."""
+
+    def __init__(self, cfg: DictConfig) -> None:
+        from guidance.user_model.recordings import read_recordings, words
+
+        self.cfg, block = cfg, cfg.maml.block
+        recordings, self.facts = read_recordings(cfg.data, block)
+        self.left_out = words(self.facts["left_out"])
+        self.training, self.held_out = recordings.split(cfg.hold_out)
+        for label, pieces in self.training.people.items():
+            if sum(len(action) // block for _, action in pieces) < 2:
+                ticks = sum(len(action) for _, action in recordings.people[label])
+                raise InputError(
+                    f"data = {cfg.data}: {label} has {ticks} ticks in pieces of at least maml.block = {block}; without "
+                    f"the last {cfg.hold_out:g} of them they must make two blocks"
+                )
+
+    def training_data(self, folder: Path) -> Recordings:
+        from airhockey_marl.envs.physics import TableSpec
+
+        file = folder / "data.json"
+        with report_input_errors():
+            if self.cfg.resume is not None and (before := load_json(file)) != self.facts:
+                changed = [name for name in self.facts if before.get(name) != self.facts[name]]
+                raise InputError(f"data = {self.cfg.data}: {', '.join(changed)} must be as in {file}, as the run began")
+        write_json(file, self.facts)
+        print("data: {people} people, {games} games, {ticks} ticks; left out:".format(**self.facts), self.left_out)
+        return self.training.ahead(self.cfg.ahead, TableSpec())
+
+    def tests(self) -> list[tuple[Samples, Samples]]:
+        """Of each person the longest piece trained on, for UA, and the longest held out."""
+        pieces = zip(self.training.people.values(), self.held_out.people.values(), strict=True)
+        return [tuple(max(part, key=lambda piece: len(piece[1])) for part in parts) for parts in pieces]
+
+    def card(self, scores: dict[str, float]) -> dict:
+        share = f"the last {self.cfg.hold_out:.0%} of each person's ticks, after UA with their longest piece before"
+        return {"data": self.facts, "held_out": share, "on_held_out": scores}
+
+
 def main(cfg: DictConfig) -> float:
-    """Train both; for a sweeper, the loss of Eq. 3 after UA on people that the model has not seen."""
+    """Train both; for a sweeper, the loss of Eq. 3 after UA on play that the model was not trained on."""
     import torch
 
+    from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.experiment.tensorboard import log_final_scores
     from airhockey_marl.players.networks import GaussianPolicy
-    from guidance.simulated_users import load_population, sample_people, training_people
-    from guidance.study.demonstrations import collect_demonstrations
     from guidance.study.models import save_user_model
-    from guidance.study.setup import load_play_setup
-    from guidance.user_model.data import Demonstrations, action_ahead
     from guidance.user_model.evaluation import unseen_scores
 
     with report_input_errors():
-        population = load_population(cfg.users)
-        setup = load_play_setup(cfg)
-        play = partial(collect_demonstrations, setup=setup, **cfg.demonstrations)
+        people = SimulatedPeople(cfg) if cfg.data is None else RecordedPeople(cfg)
         torch.manual_seed(cfg.seed)
         meta, user = GaussianPolicy(cfg.hidden), GaussianPolicy(cfg.hidden)
-        people = training_people(cfg.seed, population)
-    progress = ProgressBar()
     with lock_run_folder(cfg) as folder:
-        data = play(people, seed=cfg.seed, progress=partial(progress, "nine people play"))
-        data = Demonstrations(data.observation, action_ahead(data.observation, data.action, cfg.ahead, setup.table))
-        progress.close()
+        data = people.training_data(folder)
         seconds = train_both(cfg, folder, meta.to(cfg.compute), user.to(cfg.compute), data.to(cfg.compute))
         meta.cpu(), user.cpu()
-        others = sample_people(len(data.action), HELD_OUT_SEED, population)
-        unseen = play(others, seed=HELD_OUT_SEED, progress=partial(progress, "nine others play"))
         with torch.no_grad():
-            scores = unseen_scores(user, meta, cfg.maml.inner_lr, unseen, cfg.ahead, setup.table)
-        progress.close()
+            scores = unseen_scores(user, meta, cfg.maml.inner_lr, people.tests(), cfg.ahead, TableSpec())
         facts = {"seed": cfg.seed, "ahead_s": cfg.ahead}
         save_user_model(folder / "meta.safetensors", meta, {**facts, "inner_lr": cfg.maml.inner_lr})
         save_user_model(folder / "user.safetensors", user, facts)
         card = {
             "models": "user prediction models (section 3.2.3): meta.safetensors for UA, user.safetensors without",
-            "data": "nine simulated training users, {games} x {ticks} ticks each".format(**cfg.demonstrations),
-            "opponents_sha256": sha256(cfg.models.opponents),
-            "on_nine_others": {name: round(value, 4) for name, value in scores.items()},
+            **people.card({name: round(value, 4) for name, value in scores.items()}),
         }
         write_json(folder / "card.json", card | card_facts(cfg, seconds))
         log_final_scores(folder, cfg, scores)
@@ -103,7 +173,9 @@ def main(cfg: DictConfig) -> float:
     return scores["after_ua_loss"]
 
 
-def train_both(cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, data: Demonstrations) -> float:
+def train_both(
+    cfg: DictConfig, folder: Path, meta: nn.Module, user: nn.Module, data: Demonstrations | Recordings
+) -> float:
     """Train the meta-learned model, then the one for people in general, both in place; resume if `cfg` says so.
 
     The state is written after each epoch, so that a run that was stopped ends like one that was not. Returns the

@@ -5,7 +5,7 @@ Metrics are per person, so that intervals are over people and not over ticks. Ac
 """
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from functools import partial
 
 import numpy as np
@@ -16,7 +16,7 @@ from torch import Tensor, nn
 
 from airhockey_marl.envs.physics import TableSpec, action_range
 from guidance.forces.equations import lookahead_state
-from guidance.user_model.data import Demonstrations, action_ahead, round_starts
+from guidance.user_model.data import Samples, action_ahead, round_starts
 from guidance.user_model.maml import forward, parameters
 from guidance.user_model.training import adapt_to_user
 
@@ -137,17 +137,26 @@ def prediction_metrics(
 
 
 def unseen_scores(
-    user: nn.Module, meta: nn.Module, lr: float, data: Demonstrations, ahead: float, table: TableSpec
+    user: nn.Module,
+    meta: nn.Module,
+    lr: float,
+    people: Iterable[tuple[Samples, Samples]],
+    ahead: float,
+    table: TableSpec,
 ) -> dict[str, float]:
-    """How people are predicted on whom the models were not trained: their last games, after UA with their first.
+    """How well play is predicted that the models were not trained on.
+
+    Args:
+        user, meta, lr, ahead: see `predictors`.
+        people: of each person the game of their UA, and the game that is predicted.
 
     Returns:
         `<name>_loss` and `<name>_rmse` of each of `predictors`, see `prediction_metrics`, averaged over people.
     """
     results: dict[str, list[float]] = {}
-    for observation, action in zip(data.observation, data.action, strict=True):
-        for name, predictor in predictors(user, meta, lr, observation[0], action[0], table, ahead).items():
-            metrics = prediction_metrics(predictor, observation[-1], action[-1], ahead, table)
+    for demonstration, test in people:
+        for name, predictor in predictors(user, meta, lr, *demonstration, table, ahead).items():
+            metrics = prediction_metrics(predictor, *test, ahead, table)
             for measure in ("loss", "rmse"):
                 results.setdefault(f"{name}_{measure}", []).append(metrics[measure])
     return {name: float(np.mean(values)) for name, values in results.items()}

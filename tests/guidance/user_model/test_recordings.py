@@ -1,5 +1,6 @@
 """Play of people, from files: that it is read as it was recorded, cut where it stops, and refused where it is wrong."""
 
+import json
 import re
 
 import numpy as np
@@ -8,9 +9,13 @@ import pytest
 import torch
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.files import sha256
+from airhockey_marl.experiment.command import run
+from airhockey_marl.experiment.files import load_tensors, sha256
+from guidance.commands import adapt, meta_train
+from guidance.pretrained import FOLDER
 from guidance.simulated_users import NO_ADVISORS, training_people
 from guidance.study.demonstrations import collect_demonstrations
+from guidance.study.models import load_user_model
 from guidance.study.setup import PlaySetup
 from guidance.user_model import dataset
 from guidance.user_model.data import Demonstrations, Recordings, action_ahead
@@ -251,3 +256,98 @@ def test_the_last_part_of_everybody_is_held_out():
     ahead = recordings.ahead(0.04, TABLE)
     observation, action = recordings.people["a"][0]
     assert torch.equal(ahead.people["a"][0][1], action_ahead(observation, action, 0.04, TABLE))
+
+
+# the commands
+
+
+@pytest.fixture
+def table(rows, tmp_path):
+    rows.assign(user=rows["user"].map({0: "Xanthippe", 1: "Bert"})).to_csv(tmp_path / "table.csv", index=False)
+    return tmp_path / "table.csv"
+
+
+SMALL = ["+preset=smoke", "hidden=[8]", "maml.block=100"]
+
+
+def test_meta_train_has_a_training_user_per_person(table, tmp_path, capsys):
+    folder = tmp_path / "run"
+    run(meta_train.__name__, [*SMALL, f"data={table}", f"hydra.run.dir={folder}"])
+    assert "data: 2 people, 4 games, 1600 ticks; left out: nothing" in capsys.readouterr().out
+    card = json.loads((folder / "card.json").read_text())
+    assert card["data"] == json.loads((folder / "data.json").read_text())
+    assert card["data"]["sha256"] == sha256(table) and card["held_out"].startswith("the last 20%")
+    assert "opponents_sha256" not in card and card["on_held_out"]["after_ua_loss"] > -100
+    meta, facts = load_user_model(folder / "meta.safetensors")
+    assert facts["inner_lr"] == 0.1 and meta is not None
+    table.write_text(table.read_text() + "\n")
+    with pytest.raises(SystemExit):
+        run(meta_train.__name__, [f"resume={folder}", f"hydra.run.dir={tmp_path}/again"])
+    assert f"sha256 must be as in {folder}/data.json" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["maml.block=400"], "Xanthippe has 800 ticks in pieces of at least maml.block = 400; without the last 0.2"),
+        (
+            ["maml.block=500"],
+            "must have 500 ticks in a row (10 s) without guidance; left out: 2 people, 1600 ticks in short",
+        ),
+        (["hold_out=0"], "hold_out = 0 must be a finite number of at least 0.05 and at most 0.5"),
+        (["data=nowhere"], "data = nowhere: no such file or folder"),
+    ],
+)
+def test_meta_train_refuses_what_it_cannot_train_on(table, tmp_path, capsys, arguments, message):
+    with pytest.raises(SystemExit) as stopped:
+        run(meta_train.__name__, [*SMALL, f"data={table}", f"hydra.run.dir={tmp_path}/run", *arguments])
+    error = capsys.readouterr().err
+    assert stopped.value.code == 2 and message in error and error.count("\n") == 1
+    assert not list(tmp_path.rglob("state.safetensors"))
+
+
+def test_adapt_makes_a_user_model_of_one_person_that_does_not_name_them(table, tmp_path, capsys):
+    folder = tmp_path / "run"
+    run(adapt.__name__, [f"data={table}", "participant=Xanthippe", f"hydra.run.dir={folder}"])
+    assert f"models.user={folder}/user.safetensors" in capsys.readouterr().out
+    card = json.loads((folder / "card.json").read_text())
+    scores = card["on_held_out"]
+    assert scores["after"]["loss"] < scores["before"]["loss"] and scores["ticks"] == 160
+    assert card["adaptation"] == {"inner_lr": 0.1, "steps": 1, "ticks": 640, "data_sha256": sha256(table)}
+    written = [path for path in folder.rglob("*") if path.is_file()]
+    assert {path.name for path in written} == {"user.safetensors", "card.json", "adapt.log"}
+    assert not any(b"Xanthippe" in path.read_bytes() for path in written)
+    with pytest.raises(SystemExit):
+        run(adapt.__name__, [f"data={table}", "participant=Bert", f"hydra.run.dir={folder}"])
+    assert "a model is not replaced" in capsys.readouterr().err
+    run(adapt.__name__, [f"data={table}", "participant=Bert", "keep_label=true", f"hydra.run.dir={tmp_path}/named"])
+    assert load_tensors(tmp_path / "named" / "user.safetensors")[1]["participant"] == "Bert"
+
+
+def test_the_adapted_model_is_that_of_user_adaptation_and_is_a_user_model_of_every_command(table, data, tmp_path):
+    from guidance import pretrained
+    from guidance.study.models import Models
+
+    run(adapt.__name__, [f"data={table}", "participant=Bert", "hold_out=0.5", f"hydra.run.dir={tmp_path}/run"])
+    models = pretrained.models()
+    adapted = models.adapted_to([(data.observation[1, 0], data.action[1, 0])])[0].flatten_keys(".")
+    league = ROOT / "airhockey_marl/pretrained/league.safetensors"
+    own = Models.load(league, -1, tmp_path / "run" / "user.safetensors", FOLDER / "meta.safetensors").user
+    assert all(torch.allclose(tensor, adapted[name], atol=1e-6) for name, tensor in own.named_parameters())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ([], "participant must be chosen, data has 2 people: Xanthippe, Bert"),
+        (["participant=bert"], "participant = bert must be one of Xanthippe, Bert"),
+        (["participant=Bert", "steps=0"], "steps = 0 must be a whole number of at least 1"),
+        (["participant=Bert", "inner_lr=1e300"], "inner_lr = 1e+300, steps = 1: the adapted model's loss is"),
+        (["participant=Bert", f"models.meta={FOLDER}/user.safetensors"], "was not meta-learned: it has no inner_lr"),
+    ],
+)
+def test_adapt_refuses_by_name(table, tmp_path, capsys, arguments, message):
+    with pytest.raises(SystemExit):
+        run(adapt.__name__, [f"data={table}", f"hydra.run.dir={tmp_path}/run", *arguments])
+    error = capsys.readouterr().err
+    assert message in error and error.count("\n") == 1 and not list(tmp_path.rglob("*.safetensors"))
