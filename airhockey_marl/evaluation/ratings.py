@@ -16,6 +16,7 @@ import torch
 from scipy import stats
 
 from airhockey_marl.evaluation.matches import FRAME_SKIP, RESULT_COLUMNS, play_matches
+from airhockey_marl.experiment.validation.tables import Column, read_table
 from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.players import stochastic
 
@@ -202,20 +203,7 @@ def wins_of_matches(matches: pd.DataFrame) -> tuple[list[PlayerId], np.ndarray]:
 
 def read_matches(path: Path | str) -> pd.DataFrame:
     """Read a matches.csv: columns `MATCH_COLUMNS`; opponents are generations or names of scripted players."""
-    try:
-        matches = pd.read_csv(path, dtype={"opponent": "str"})
-    except FileNotFoundError:
-        raise ValueError(f"no such file: {path}") from None
-    except ValueError as error:  # pandas' parser errors are ValueErrors, and do not name the file
-        raise ValueError(f"{path}: {error}") from error
-    if tuple(matches.columns) != MATCH_COLUMNS:
-        columns = ", ".join(map(str, matches.columns))
-        raise ValueError(f"{path} has the columns {columns}, must have {', '.join(MATCH_COLUMNS)}")
-    counts = matches.drop(columns="opponent").apply(pd.to_numeric, errors="coerce")
-    invalid = (counts.mod(1).ne(0) | counts.lt(0)).assign(opponent=matches["opponent"].isna())
-    for column in invalid.columns[invalid.any()]:
-        row = invalid[column].idxmax()
-        allowed = "a generation or a scripted player" if column == "opponent" else "a whole number of at least 0"
-        raise ValueError(f"{path}, row {row + 1}: {column} = {matches[column][row]} must be {allowed}")
-    matches["opponent"] = pd.Series([int(m) if m.isdigit() else m for m in matches["opponent"]], dtype=object)
-    return matches.astype(dict.fromkeys(counts, np.int64))
+    columns = dict.fromkeys(MATCH_COLUMNS, Column(low=0.0, whole=True)) | {"opponent": Column(text=True)}
+    matches = read_table(path, columns)[list(MATCH_COLUMNS)]
+    opponents = [int(m) if m.isdigit() else m for m in matches["opponent"]]
+    return matches.assign(opponent=pd.Series(opponents, dtype=object))

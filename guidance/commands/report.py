@@ -3,7 +3,8 @@
     airhockey report runs=outputs/evaluate/...     every trials.csv below: one run, or the runs of a sweep
     airhockey report runs=... beside=...           two groups side by side, such as people and simulated people
 
-Writes tests.csv, figure6.png and .svg, and report.html; with `beside` also beside.png and .svg.
+A trials.csv may also be one that R, Excel or another program has written, see guidance/study/README.md. Writes
+tests.csv, figure6.png and .svg, and report.html; with `beside` also beside.png and .svg.
 """
 
 from omegaconf import DictConfig

@@ -9,6 +9,7 @@ from typing import Any
 import pandas as pd
 
 from airhockey_marl.experiment.files import load_json
+from airhockey_marl.experiment.validation.tables import Column, read_table
 from guidance.forces.conditions import GuidanceOutput
 from guidance.sessions.json_files import save_json
 from guidance.simulated_users.ratings import RATINGS
@@ -34,6 +35,7 @@ class Game:
         name: of its condition, or `UNSCORED`.
         position: in the person's order, from 1; 0 is the unscored game.
         results: name in `RESULTS` -> value; NaN where undefined.
+        counts: name in `guidance.study.metrics.COUNTS` -> number; empty in records of early versions.
         ratings: name in `guidance.simulated_users.ratings.RATINGS` -> 1 to 7; None before the rating.
         interview: the experimenter's note on what the person said about the game.
         facts: further information from the start and the end of the game.
@@ -43,6 +45,7 @@ class Game:
     name: str
     position: int
     results: dict[str, float]
+    counts: dict[str, int]
     ratings: dict[str, int] | None
     interview: str
     facts: dict[str, Any]
@@ -60,11 +63,11 @@ class Game:
             results = {name: content["Results"][name] for name in RESULTS}
             ratings = content["Ratings"] and {name: content["Ratings"][name] for name in RATINGS}
             name, position, interview = content["Condition"], content["Position"], content["Interview"]
-            facts = content["Facts"]
+            facts, counts = content["Facts"], dict(content.get("Counts", {}))
         except (KeyError, TypeError) as error:
             raise ValueError(f"{description} does not describe a game: it lacks {error}") from error
         results = {result: math.nan if value is None else value for result, value in results.items()}
-        game = cls(name, position, results, ratings, interview, facts, description)
+        game = cls(name, position, results, counts, ratings, interview, facts, description)
         if not game.file.is_file():
             raise ValueError(f"{description} describes a table that is not there")
         return game
@@ -96,14 +99,9 @@ def read_ticks(file: Path, columns: Iterable[str] = ()) -> pd.DataFrame:
     """The table of a game, a row per tick; floats are bit-identical to the recorded ones.
 
     Raises:
-        ValueError: the file is missing or lacks one of the `columns`; the message names it.
+        ValueError: the file is missing, lacks one of the `columns`, or has no number in one; the message names it.
     """
-    if not file.is_file():
-        raise ValueError(f"no such file: {file}")
-    ticks = pd.read_csv(file, sep="\t", na_values=[MISSING], keep_default_na=False, float_precision="round_trip")
-    if absent := [name for name in columns if name not in ticks]:
-        raise ValueError(f"{file} lacks the columns {', '.join(absent)}")
-    return ticks
+    return read_table(file, dict.fromkeys(columns, Column(missing=True)), float_precision="round_trip")
 
 
 def load_games(folder: Path) -> dict[str, Game]:

@@ -1,16 +1,27 @@
 """Groups of participants, people or simulated people, and the comparison of two groups; groups are never pooled."""
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
 from airhockey_marl.experiment.files import find_files, load_json, sha256
-from guidance.forces.condition_specs import ConditionSpec
-from guidance.statistics.design import METRICS, Metric, conditions_of, declared_conditions, declared_metrics
+from airhockey_marl.experiment.validation.tables import Column, read_table
+from guidance.forces.condition_specs import ConditionSpec, other_specs
+from guidance.statistics.codebook import NUMBER, TRIAL_COLUMNS
+from guidance.statistics.design import (
+    CONDITIONS,
+    METRICS,
+    Metric,
+    conditions_of,
+    declared_conditions,
+    declared_metrics,
+)
 from guidance.statistics.paper import compare_with_paper
 from guidance.statistics.tests import check_trials, run_tests
 
@@ -42,8 +53,9 @@ class Group:
 
     @cached_property
     def declared(self) -> dict[str, ConditionSpec]:
-        """The conditions beyond the paper's that the manifests declare, by name."""
-        return declared_conditions(entry for manifest in self._manifests for entry in manifest.get("conditions", ()))
+        """The conditions beyond the paper's by name: this project's, and those that the manifests declare."""
+        entries = (entry for manifest in self._manifests for entry in manifest.get("conditions", ()))
+        return {**other_specs(lambda text: None), **declared_conditions(entries)}
 
     @cached_property
     def extra_metrics(self) -> dict[str, Metric]:
@@ -188,7 +200,10 @@ def gather(places: Iterable[str | Path], mixed: bool = False) -> Group:
     if len({run.get("study_hash") for run in manifests.values()}) > 1:
         manifest |= {"frozen": False}  # at most one of several studies is the frozen one
     group = Group(merge(files, mixed), manifest | {"trials_sha256": {str(file): sha256(file) for file in files}})
-    check_trials(group.trials, group.people)
+    try:
+        check_trials(group.trials, group.people)
+    except ValueError as error:
+        raise ValueError(f"{files[0]}{' and others' if len(files) > 1 else ''}: {error}") from error
     return group
 
 
@@ -217,7 +232,7 @@ def merge(folders: Iterable[str | Path], mixed: bool = False) -> pd.DataFrame:
     if len(kinds := {of_people(manifest) for manifest in manifests}) > 1:
         raise ValueError("people and simulated people cannot be merged: name one of them as beside")
     tables = [
-        _read(file).assign(study=manifest.get("study_hash", ""), place=str(file))
+        _read(file, manifest).assign(study=manifest.get("study_hash", ""), place=str(file))
         for file, manifest in zip(files, manifests, strict=True)
     ]
     trials = pd.concat(tables, ignore_index=True)
@@ -235,19 +250,23 @@ def merge(folders: Iterable[str | Path], mixed: bool = False) -> pd.DataFrame:
     return trials.drop(columns=["study", "place"])
 
 
-def _read(file: Path) -> pd.DataFrame:
-    try:
-        trials = pd.read_csv(file, dtype={"user": "str", "condition": "str"})
-    except ValueError as error:  # pandas does not name the file
-        raise ValueError(f"{file}: {error}") from error
-    if absent := [column for column in ("user", "condition", "seed", *METRICS) if column not in trials]:
-        raise ValueError(f"{file} lacks the columns {', '.join(absent)}")
+def _read(file: Path, manifest: Mapping[str, Any]) -> pd.DataFrame:
+    """The trials of a file, with the names of the paper's, this project's and the manifest's conditions."""
+    specs = CONDITIONS | other_specs(lambda text: None) | declared_conditions(manifest.get("conditions", ()))
+    labels = Counter(spec.label.casefold() for spec in specs.values())
+    names = {spec.label: name for name, spec in specs.items() if labels[spec.label.casefold()] == 1}
+    names |= {name: name for name in specs}
+    extra = dict.fromkeys(declared_metrics(manifest.get("metrics", ())), NUMBER)
+    trials = read_table(file, TRIAL_COLUMNS | {"condition": Column(names=names)} | extra)
     if trials.empty:
         raise ValueError(f"{file} holds no games")
-    for name in ("user", "condition"):  # spreadsheet programs run texts that begin like a formula
-        for text in trials[name].dropna().unique():
-            if text[:1] in FORMULA or not text.isprintable():
-                raise ValueError(f"{file}: {name} = {text[:40]!r} must be a name, and begin with none of {FORMULA}")
+    users = trials["user"].unique()
+    for text in users:  # spreadsheet programs run texts that begin like a formula
+        if text[:1] in FORMULA or not text.isprintable():
+            raise ValueError(f"{file}: user = {text[:40]!r} must be a name, and begin with none of {FORMULA}")
+    for one, other in combinations(users, 2):
+        if one.casefold() == other.casefold():
+            raise ValueError(f"{file}: user = {other!r} must differ from {one!r} in more than capitals")
     return trials
 
 

@@ -56,6 +56,9 @@ METRIC_COUNTERS = np.dtype(
 )
 
 
+COUNTS = ("rounds_won", "rounds_lost", "rounds_undecided", "shots_faced", "shots_stopped", "smashes")
+
+
 def disagreement(force: np.ndarray, action_change: np.ndarray) -> np.ndarray:
     """Disagreement (...) in N of forces (..., 2) with the change of action (..., 2) in the same tick (section 4.3).
 
@@ -120,6 +123,17 @@ def metric_values(counters: np.ndarray) -> dict[str, np.ndarray]:
         "defense_rate": _ratio(counters["blocked"], counters["shots"]),
         "mean_disagreement": _ratio(counters["disagreement"], counters["ticks"]),
     }
+
+
+def count_values(counters: np.ndarray, rounds: np.ndarray) -> dict[str, np.ndarray]:
+    """What win and defense rate are ratios of, and the smashes: `COUNTS` (n,) int64 of n games.
+
+    Args:
+        rounds: (n,) the rounds that were played.
+    """
+    won, lost = counters["won"], counters["lost"]
+    columns = won, lost, np.asarray(rounds, dtype=np.int64) - won - lost
+    return dict(zip(COUNTS, (*columns, counters["shots"], counters["blocked"], counters["smashes"]), strict=True))
 
 
 class RunningMoments:

@@ -255,7 +255,7 @@ def trials_of(users: list[str]) -> pd.DataFrame:
     rng = np.random.default_rng(0)
     rows = [
         {"user": user, "condition": name, "position": 1, "seed": 1}
-        | dict(zip(METRICS, rng.uniform(1, 7, len(METRICS)), strict=True))
+        | dict(zip(METRICS, [*rng.uniform(0, 1, 4), *rng.uniform(1, 7, 4)], strict=True))
         | {f"{weight}_{part}": 0.5 for weight in ("w_unc_optimal", "w_unc_user", "w_sim") for part in ("mean", "sd")}
         for user in users
         for name in CONDITIONS

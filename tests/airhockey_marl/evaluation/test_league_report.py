@@ -318,7 +318,9 @@ def test_invalid_runs_are_named(monkeypatch, capsys, tmp_path, league):
     matches().replace({"opponent": {"random": "wall"}}).to_csv(run / "matches.csv", index=False)
     assert "scripted player = 'wall' must be one of" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
     (run / "matches.csv").write_text("a,b\n1,2\n")
-    assert "has the columns a, b, must have" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
+    assert "matches.csv lacks the columns generation, opponent, won" in complaint(
+        monkeypatch, capsys, tmp_path, f"run={run}"
+    )
     save_tensors(run / "league.safetensors", league.stacked_weights(), {})
     with pytest.raises(ValueError, match="not a file of this project"):
         League.load(run / "league.safetensors")

@@ -219,12 +219,12 @@ def test_matches_are_restored_from_their_file(tmp_path):
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("generation,opponent,won,lost\n1,0,1,2\n", "has the columns generation, opponent, won, lost, must have"),
-        ("generation,opponent,won,lost,undecided\n1,0,1,-2,0\n", "row 1: lost = -2 must be a whole number"),
-        ("generation,opponent,won,lost,undecided\n1,0,1,2,0\n2,0,x,2,0\n", "row 2: won = x must be a whole number"),
-        ("generation,opponent,won,lost,undecided\n1,0,1.5,2,0\n", "won = 1.5 must be a whole number"),
-        ("generation,opponent,won,lost,undecided\n1,,1,2,0\n", "opponent = nan must be a generation or a scripted"),
-        ("", "No columns"),
+        ("generation,opponent,won,lost\n1,0,1,2\n", "lacks the columns undecided"),
+        ("generation,opponent,won,lost,undecided\n1,0,1,-2,0\n", "row 2, lost = '-2' must be a whole number"),
+        ("generation,opponent,won,lost,undecided\n1,0,1,2,0\n2,0,x,2,0\n", "row 3, won = 'x' must be a whole number"),
+        ("generation,opponent,won,lost,undecided\n1,0,1.5,2,0\n", "won = '1.5' must be a whole number"),
+        ("generation,opponent,won,lost,undecided\n1,,1,2,0\n", "row 2, opponent = empty must be a name"),
+        ("", "must be a table, and is empty"),
         ('generation,opponent,won,lost,undecided\n"1,0', "matches.csv"),
     ],
 )

@@ -326,8 +326,8 @@ def test_people_of_other_seeds_and_studies_are_other_people(sweep, trials):
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("trials.csv", "", "trials.csv: No columns"),
-        ("trials.csv", "user,condition\nS01,nhg\n", "lacks the columns seed, win_rate"),
+        ("trials.csv", "", "trials.csv must be a table, and is empty"),
+        ("trials.csv", "user,condition\nS01,nhg\n", "lacks the columns win_rate, .*, seed"),
         ("trials.csv", ",".join(["user", "condition", "seed", *METRICS]), "trials.csv holds no games"),
         ("manifest.json", "{", "manifest.json is not JSON"),
     ],
@@ -362,7 +362,8 @@ def test_command_names_what_is_wrong(sweep, tmp_path):
     pd.read_csv(file).iloc[1:].to_csv(file, index=False)
     done = report_command(f"runs={sweep}", cwd=tmp_path)
     assert done.returncode == 2
-    assert done.stderr.strip() == "error: every participant must have played every condition: S01 lacks uphg"
+    reason = "every participant must have played every condition: S01 lacks uphg"
+    assert done.stderr.strip() == f"error: {file} and others: {reason}"
 
 
 def test_withdrawn_proxies_count_for_nothing(trials, tmp_path, no_figures):

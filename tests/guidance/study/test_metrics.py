@@ -3,9 +3,19 @@
 import numpy as np
 import pytest
 import torch
+from hypothesis import given
+from hypothesis import strategies as st
 
 from airhockey_marl.envs.physics import TableSpec
-from guidance.study.metrics import METRIC_COUNTERS, RunningMoments, disagreement, metric_values, record
+from guidance.study.metrics import (
+    COUNTS,
+    METRIC_COUNTERS,
+    RunningMoments,
+    count_values,
+    disagreement,
+    metric_values,
+    record,
+)
 
 TABLE = TableSpec()
 MINE, THEIRS = 1, 2
@@ -80,6 +90,23 @@ def test_disagreement_is_the_force_against_the_motion():
     assert disagreement(force, change) == pytest.approx([0, 2, 0, 1, 0], abs=1e-12)
     opposed = {"before": REST, "after": REST}
     assert play({**opposed, "disagreed": 3.0}, {**opposed, "disagreed": 1.0})["mean_disagreement"] == 2.0
+
+
+@given(st.lists(st.tuples(*[st.integers(0, 40)] * 4), min_size=1))
+def test_rates_are_ratios_of_the_counts(games):
+    """To the last bit, and undefined together."""
+    counters = np.zeros(len(games), METRIC_COUNTERS)
+    won, lost, blocked, conceded = np.array(games).T
+    counters["won"], counters["lost"], counters["blocked"], counters["shots"] = won, lost, blocked, blocked + conceded
+    rates, counts = metric_values(counters), count_values(counters, won + lost + 2)
+    assert tuple(counts) == COUNTS and (counts["rounds_undecided"] == 2).all()
+    with np.errstate(invalid="ignore"):
+        ratios = {
+            "win_rate": counts["rounds_won"] / (counts["rounds_won"] + counts["rounds_lost"]),
+            "defense_rate": counts["shots_stopped"] / counts["shots_faced"],
+        }
+    for name, ratio in ratios.items():
+        assert np.array_equal(rates[name], ratio, equal_nan=True)
 
 
 def test_moments_agree_with_numpy():
