@@ -8,7 +8,9 @@
     airhockey evaluate +preset=smoke                  seconds, to see that it runs
 
 Writes into its run folder: trials.csv (a row per person and condition), tests.csv (every t, F and post hoc),
-figure6.png and .svg, report.html, manifest.json (configuration, seeds, models, versions), and TensorBoard's files.
+figure6.png and .svg, report.html, manifest.json (configuration, seeds, models, versions), and TensorBoard's files; for
+other programs trials_wide.csv (a row per person), counts.csv (rounds, shots, smashes) and codebooks (trials.json,
+counts.json).
 """
 
 import sys
@@ -30,6 +32,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.forces.condition_specs import PAPER_LETTERS
     from guidance.simulated_users import load_population, sample_people
     from guidance.simulated_users.ratings import RATINGS
+    from guidance.statistics.codebook import tables_beside
     from guidance.statistics.groups import UNTESTED
     from guidance.statistics.report import screen_table, write_report
     from guidance.statistics.tensorboard import Histograms, log_study
@@ -48,13 +51,15 @@ def main(cfg: DictConfig) -> None:
         rows = len(williams_design(len(PAPER_LETTERS)))
         print(f"note: the order of nine conditions is balanced over multiples of {rows} people", file=sys.stderr)
     progress, histograms = ProgressBar(), Histograms(setup.conditions, len(people), cfg.guidance.spring.limit)
-    trials = run_study(people, setup, seed=cfg.seed, progress=progress, on_forces=histograms.add)
+    trials, counts = run_study(people, setup, seed=cfg.seed, progress=progress, on_forces=histograms.add)
     progress.close()
     folder = output_folder(cfg)
     write_text(folder / "trials.csv", trials.to_csv(index=False))
     facts = manifest(cfg, file_hashes(cfg, setup.models), command_line(), time.perf_counter() - start)
     write_json(folder / "manifest.json", facts)
     group = write_report(trials, folder, facts)
+    for name, content in tables_beside(trials, counts, group.conditions, facts).items():
+        write_text(folder / name, content)
     log_study(cfg, folder, group, histograms)
     outcomes = group.findings["outcome"]
     if tested := (~outcomes.isin(UNTESTED)).sum():

@@ -6,13 +6,14 @@
 
 1 to 9 choose one of the conditions (a) to (i), a adapts the user model to you, h shows all keys. Writes into its run
 folder, for every part played under one condition, a table with a row per tick (`..._beh.tsv`) and its description
-(`.json`). `airhockey watch run=<that folder>` films them.
+(`.json`), and counts.csv (their rounds, shots and smashes). `airhockey watch run=<that folder>` films them.
 """
 
 from omegaconf import DictConfig
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.config import InputError
+from airhockey_marl.experiment.files import write_text
 from airhockey_marl.experiment.registry import construct
 from airhockey_marl.experiment.run_folder import output_folder
 
@@ -80,6 +81,7 @@ def main(cfg: DictConfig) -> None:
         play = FreePlay(conditions, models, opponents, cfg.opponent, *times, seat, serves, folder)
         with quit_on_signals():
             play.run(begin_with, cfg.seconds)
+    write_text(folder / "counts.csv", play.counts().to_csv(index=False))
     columns = ["rounds", "win_rate", "mean_smash_speed", "defense_rate", "mean_disagreement"]
     print(play.summary()[columns].to_string(float_format="%.2f", na_rep="–"))
     print(f"\nagain: airhockey watch run={folder}")

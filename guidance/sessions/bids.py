@@ -4,6 +4,7 @@
     manifest.json                        configuration, seed, models and hash of the study
     participants.tsv, participants.json  the participants and their places in the counterbalanced orders
     trials.csv                           a row per rated game, with the columns of `guidance.evaluate`
+    trials.json, trials_wide.csv, counts.csv, counts.json    see `guidance.statistics.codebook`
     sub-P01/sub-P01_consent.json         time of P01's consent, and its text
     sub-P01/beh/                         P01's games, see `guidance.sessions.recording`
 
@@ -30,7 +31,9 @@ from guidance.sessions.json_files import save_json, save_text
 from guidance.sessions.participant import Participant, check_label
 from guidance.sessions.recording import Recording, recover_games
 from guidance.simulated_users.ratings import RATINGS
-from guidance.statistics.design import CONDITIONS
+from guidance.statistics.codebook import tables_beside
+from guidance.statistics.design import CONDITIONS, conditions_of, declared_conditions
+from guidance.study.metrics import COUNTS
 
 TRIALS = ["user", "condition", "position", *OBJECTIVE, *RATINGS, *RESULTS[len(OBJECTIVE) :], "seed"]
 UNAMBIGUOUS = "23456789BCDFGHJKMNPQRSTVWXYZ"  # without 0 and O, 1, I and L, and vowels, which make words
@@ -134,21 +137,30 @@ class Records:
 
     def trials(self) -> pd.DataFrame:
         """A row per rated game with the columns of trials.csv, by condition in the paper's order, then by place."""
+        return self._rated_games()[TRIALS]
+
+    def _rated_games(self) -> pd.DataFrame:
+        """`trials` and the columns `COUNTS`."""
         rows = []
         for label in self.places:
             for game in load_games(self._person(label) / "beh").values():
                 if game.ratings is not None:
                     row = {"user": label, "condition": game.name, "position": game.position}
-                    rows.append(row | game.results | game.ratings | {"seed": self.manifest["seed"]})
+                    rows.append(row | game.results | game.ratings | {"seed": self.manifest["seed"]} | game.counts)
         conditions = [*CONDITIONS, *sorted({row["condition"] for row in rows} - set(CONDITIONS))]
         rows.sort(key=lambda row: conditions.index(row["condition"]))  # stable: keeps the order of places
-        return pd.DataFrame(rows, columns=TRIALS)
+        return pd.DataFrame(rows, columns=[*TRIALS, *COUNTS]).astype(dict.fromkeys(COUNTS, "Int64"))
 
     def save_trials(self) -> None:
-        """Write trials.csv from the games, if it differs."""
-        path, content = self.folder / "trials.csv", self.trials().to_csv(index=False)
-        if not path.exists() or path.read_text(encoding="utf-8") != content:
-            save_text(path, content)
+        """Write trials.csv and the tables beside it from the games, those that differ."""
+        games = self._rated_games()
+        trials, counts = games[TRIALS], games[["user", "condition", *COUNTS]]
+        conditions = conditions_of(trials, declared_conditions(self.manifest.get("conditions", ())))
+        tables = {"trials.csv": trials.to_csv(index=False)}
+        for name, content in (tables | tables_beside(trials, counts, conditions, self.manifest)).items():
+            path = self.folder / name
+            if not path.exists() or path.read_text(encoding="utf-8") != content:
+                save_text(path, content)
 
     def require_no_game(self) -> None:
         """Raise a ValueError while a game is running."""

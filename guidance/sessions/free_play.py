@@ -60,6 +60,7 @@ class FreePlay:
         self.adapted: TensorDict | None = None
         self.demonstrations: list[tuple[Tensor, Tensor]] = []
         self.games: dict[str, Game] = {}
+        self._conditions: list[str] = []  # of the games
         self.ticks, self._note_seconds = 0, 0.0
 
     def run(self, condition: Condition, seconds: float | None = None) -> None:
@@ -142,6 +143,12 @@ class FreePlay:
         labels = [f"{game.position:02d} {game.facts['title']}, {game.facts['opponent']}" for game in games]
         return pd.DataFrame([game.results for game in games], index=labels)
 
+    def counts(self) -> pd.DataFrame:
+        """The columns of `counts.csv`, a row per stretch."""
+        games = zip(self._conditions, self.games.values(), strict=True)
+        rows = [{"user": "you", "condition": name, "position": game.position, **game.counts} for name, game in games]
+        return pd.DataFrame(rows)
+
     def _begin(self, condition: Condition) -> None:
         self.condition, table = condition, self.runner.tables.table
         self.forces, tap = tapped_guidance(condition, self.models, self.adapted, self.lookahead_seconds)
@@ -163,9 +170,10 @@ class FreePlay:
     def _end(self) -> None:
         """Save the results of the current stretch."""
         self._save()
-        results = {**self.metrics.results(), **self.metrics.weights()}
+        results = {**self.metrics.results(), **self.metrics.weights(), **self.metrics.counts(self._rounds)}
         numbers = {name: float(values[0]) for name, values in results.items()}
         self.recording.finish(numbers | {"rounds": self._rounds, "duration_s": self.log.time})
+        self._conditions.append(self.condition.name)
 
     def _show(self, row: dict[str, float]) -> None:
         display, tap = self.player.display, self.log.tap

@@ -19,6 +19,7 @@ from typing import Any
 from airhockey_marl.experiment.files import fsync_dir, name_write_errors, remove
 from guidance.sessions.game import BEHAVIOR, MISSING, PARTIAL, RESULTS, Game, game_file
 from guidance.sessions.json_files import rename_file, save_json
+from guidance.study.metrics import COUNTS
 
 Columns = Mapping[str, Mapping[str, str]]
 """Column -> its description in BIDS: `Description`, `Units`, and optionally more."""
@@ -76,7 +77,7 @@ class Recording:
         """Complete the game with these results. If this raises, it may be called again.
 
         Args:
-            results: name in `RESULTS` -> value.
+            results: name in `RESULTS`, or in `guidance.study.metrics.COUNTS` -> value.
             facts: further ones, added to those from the start.
 
         Raises:
@@ -88,7 +89,9 @@ class Recording:
         finite = {name: None if math.isnan(results[name]) else results[name] for name in RESULTS}
         description = game_file(self.stem, BEHAVIOR, ".json")
         # its rename completes the game; `recover_games` can repeat the rest
-        save_json(description, self._description() | {"Results": finite, "Ratings": None, "Interview": ""})
+        counts = {name: int(results[name]) for name in COUNTS if name in results}
+        numbers = {"Results": finite, "Counts": counts}
+        save_json(description, self._description() | numbers | {"Ratings": None, "Interview": ""})
         _complete(self.stem)
         self.close()
         self.games[self.name] = game = Game.load(description)

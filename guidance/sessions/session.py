@@ -210,7 +210,8 @@ class Session:
             except BaseException:
                 self.mark(f"interrupted {name}")
                 raise
-            results = {**result.results, **result.weights, "rounds": result.rounds, "duration_s": result.seconds}
+            results = result.results | result.weights | result.counts
+            results |= {"rounds": result.rounds, "duration_s": result.seconds}
             numbers = {key: float(values[0]) for key, values in results.items()}
             if not condition.guidance.models():
                 numbers["mean_disagreement"] = float("nan")  # without a force it is undefined (section 5.2)

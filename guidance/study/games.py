@@ -17,7 +17,15 @@ from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec
 from airhockey_marl.envs.world import World
 from airhockey_marl.players.players import Player
 from guidance.forces.conditions import GuidanceOutput
-from guidance.study.metrics import EXTRA_METRICS, METRIC_COUNTERS, RunningMoments, disagreement, metric_values, record
+from guidance.study.metrics import (
+    EXTRA_METRICS,
+    METRIC_COUNTERS,
+    RunningMoments,
+    count_values,
+    disagreement,
+    metric_values,
+    record,
+)
 from guidance.study.protocol import Protocol, ProtocolState
 
 
@@ -136,6 +144,10 @@ class MetricsRecorder:
         """The objective metrics so far, (n,) each."""
         return metric_values(self._counters) | {name: metric.values() for name, metric in self._extra.items()}
 
+    def counts(self, rounds: np.ndarray) -> dict[str, np.ndarray]:
+        """See `guidance.study.metrics.count_values`; `rounds` (n,) are those so far."""
+        return count_values(self._counters, rounds)
+
     def weights(self) -> dict[str, np.ndarray]:
         """Mean and SD (n,) of each weight so far."""
         both = {name: moments.result() for name, moments in self._weights.items()}
@@ -150,6 +162,7 @@ class Games:
         results: the objective metrics, (n,) each.
         rounds, seconds: (n,) rounds, and s of scored play.
         weights: mean and SD (n,) of each weight within each game.
+        counts: see `guidance.study.metrics.count_values`.
         demonstrations: per game the observations (ticks, 12) and actions (ticks, 2) of scored play, if kept.
     """
 
@@ -157,6 +170,7 @@ class Games:
     rounds: np.ndarray
     seconds: np.ndarray
     weights: dict[str, np.ndarray]
+    counts: dict[str, np.ndarray]
     demonstrations: list[tuple[Tensor, Tensor]]
 
 
@@ -209,6 +223,7 @@ def play_games(
         rounds=state.rounds,
         seconds=state.ticks * table.tick,
         weights=metrics.weights(),
+        counts=metrics.counts(state.rounds),
         demonstrations=_by_game(trail, n),
     )
 

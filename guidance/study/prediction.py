@@ -40,7 +40,8 @@ def errors_ahead(models: Models, data: Demonstrations, ahead: list[float], table
     for (name, seconds), people in results.items():
         measures = {key: np.array([person[key] for person in people]) for key in people[0]}
         base = results["extrapolation", seconds]
-        measures["gain"] = 1 - measures["rmse"] / np.array([person["rmse"] for person in base])
+        with np.errstate(divide="ignore", invalid="ignore"):
+            measures["gain"] = 1 - measures["rmse"] / np.array([person["rmse"] for person in base])
         rows.append({"predictor": name, "ahead_s": seconds, **with_intervals(measures)})
     return rows
 

@@ -75,8 +75,10 @@ class Studies:
             cohorts.append(Cohort(sample_people(cfg.participants, cfg.seed + study, population), cfg.seed + study))
         setup = replace(self.setup, variant=batch.variant)
         shuffled = batch.group == SHUFFLED_ADAPTATION
-        trials = run_studies(cohorts, setup, progress, shuffled_adaptation=shuffled)
-        return pd.concat([t.assign(group=batch.group, study=k) for k, t in zip(batch.studies, trials, strict=True)])
+        studies = run_studies(cohorts, setup, progress, shuffled_adaptation=shuffled)
+        return pd.concat(
+            [tables.trials.assign(group=batch.group, study=k) for k, tables in zip(batch.studies, studies, strict=True)]
+        )
 
 
 def one_by_one(

@@ -8,6 +8,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from string import ascii_lowercase
+from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
@@ -18,6 +19,7 @@ from guidance.forces.conditions import ADAPTED, Condition, GuidanceOutput
 from guidance.simulated_users import SimulatedUsers
 from guidance.study.batched_guidance import BatchedGuidance
 from guidance.study.games import Forces, Games, no_force, play_games
+from guidance.study.metrics import COUNTS
 from guidance.study.protocol import CALIBRATION_GAME, counterbalanced_order, user_and_table_states
 from guidance.study.setup import StudySetup
 
@@ -35,7 +37,14 @@ class Cohort:
     seed: int
 
 
-def run_study(people: np.ndarray, setup: StudySetup, *, seed: int, **kwargs) -> pd.DataFrame:
+class StudyTables(NamedTuple):
+    """The tables of one study, with a row per user and condition: the columns of `trials.csv` and of `counts.csv`."""
+
+    trials: pd.DataFrame
+    counts: pd.DataFrame
+
+
+def run_study(people: np.ndarray, setup: StudySetup, *, seed: int, **kwargs) -> StudyTables:
     """One study, see `run_studies`."""
     return run_studies([Cohort(people, seed)], setup, **kwargs)[0]
 
@@ -46,7 +55,7 @@ def run_studies(
     progress: Callable[[str, float], None] = lambda stage, share: None,
     shuffled_adaptation: bool = False,
     on_forces: Callable[[GuidanceOutput, np.ndarray], None] = lambda output, games: None,
-) -> list[pd.DataFrame]:
+) -> list[StudyTables]:
     """Play several studies side by side with simulated people.
 
     Args:
@@ -54,8 +63,6 @@ def run_studies(
         shuffled_adaptation: adapt each user model to another participant's calibration game (a negative control of UA).
         on_forces: called every tick with the guidance of the games (k,), ordered as in `BatchedGuidance`.
 
-    Returns:
-        Per study one row per user and condition: the columns of `trials.csv`.
     """
     conditions, people = setup.conditions, np.concatenate([cohort.people for cohort in cohorts])
     play = partial(_play, cohorts, setup, progress=progress)
@@ -82,11 +89,12 @@ def run_studies(
         "duration_s": games.seconds,
         **games.weights,
         **extra,
+        **games.counts,
     }
     columns = {name: values.reshape(len(conditions), -1) for name, values in columns.items()}
     edges = np.cumsum([0, *(len(cohort.people) for cohort in cohorts)])
     return [
-        _trials(cohort, conditions, {name: values[:, first:last] for name, values in columns.items()})
+        _tables(cohort, conditions, {name: values[:, first:last] for name, values in columns.items()})
         for cohort, first, last in zip(cohorts, edges[:-1], edges[1:], strict=True)
     ]
 
@@ -127,8 +135,8 @@ def _neighbors(sizes: Sequence[int]) -> torch.Tensor:
     )
 
 
-def _trials(cohort: Cohort, conditions: Sequence[Condition], columns: dict[str, np.ndarray]) -> pd.DataFrame:
-    """`trials.csv` of a study from columns (conditions, users)."""
+def _tables(cohort: Cohort, conditions: Sequence[Condition], columns: dict[str, np.ndarray]) -> StudyTables:
+    """The tables of a study from columns (conditions, users)."""
     users = len(cohort.people)
     position = counterbalanced_order(users, len(PAPER_LETTERS), cohort.seed)
     beyond = sorted(c.letter for c in conditions if c.letter not in PAPER_LETTERS)  # played after the paper's
@@ -142,4 +150,5 @@ def _trials(cohort: Cohort, conditions: Sequence[Condition], columns: dict[str, 
             if condition.letter == "a":
                 row["mean_disagreement"] = np.nan  # undefined without a force (section 5.2)
             rows.append(row | {"seed": cohort.seed})
-    return pd.DataFrame(rows)
+    table = pd.DataFrame(rows)
+    return StudyTables(table.drop(columns=list(COUNTS)), table[["user", "condition", *COUNTS]])

@@ -66,6 +66,12 @@ def test_a_session_is_the_study_of_simulated_people_in_another_seat(two):
     for name in ("win_rate", "mean_smash_speed", "defense_rate", "rounds", "duration_s", *RATINGS):
         assert np.array_equal(unguided[name], unguided[f"{name}_study"], equal_nan=True), name
     assert both["mean_disagreement"].isna().equals(both["mean_disagreement_study"].isna())
+    counts = pd.read_csv(two / "records" / "counts.csv").merge(session, on=["user", "condition"], validate="1:1")
+    assert len(counts) == 18 and counts["shots_faced"].sum() > 0
+    np.testing.assert_allclose(counts["shots_stopped"] / counts["shots_faced"], counts["defense_rate"], rtol=1e-12)
+    codebook = json.loads((two / "records" / "trials.json").read_text())
+    assert list(codebook["columns"]) == list(session) and codebook["study"]["participants"] == "simulated people"
+    assert "PROXY" in codebook["columns"]["comfort"]["description"]
 
 
 def test_what_is_recorded_says_what_was_played(two):

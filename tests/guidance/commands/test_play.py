@@ -28,6 +28,7 @@ from guidance.sessions.free_play import MIN_DEMONSTRATION_TICKS, FreePlay
 from guidance.sessions.game import load_games, read_ticks
 from guidance.sessions.tick_log import COLUMNS, demonstration
 from guidance.simulated_users import SimulatedUsers, sample_people
+from guidance.statistics.design import CONDITIONS
 from guidance.study.models import Models
 from guidance.study.protocol import spawn_rng_states
 from guidance.study.setup import load_conditions
@@ -93,7 +94,11 @@ def test_keys_choose_guidances_and_every_stretch_is_a_recording(shipped, tmp_pat
         games["04oahgut"].facts["opponent"] == "generation 60"
         and games["03oahgut"].facts["opponent"] == "generation 55"
     )
-    assert list(game.summary()["duration_s"].round(2)) == [len(table) * 0.02 for table in tables]
+    summary, counts = game.summary().reset_index(drop=True), game.counts()
+    assert list(summary["duration_s"].round(2)) == [len(table) * 0.02 for table in tables]
+    assert list(counts["position"]) == list(range(1, len(tables) + 1)) and set(counts["condition"]) <= set(CONDITIONS)
+    assert counts[["rounds_won", "rounds_lost", "rounds_undecided"]].sum(axis=1).equals(summary["rounds"].astype(int))
+    assert (counts["shots_stopped"] / counts["shots_faced"]).equals(summary["defense_rate"])
 
 
 def test_the_same_keys_give_the_same_bytes(shipped, tmp_path):

@@ -37,6 +37,7 @@ COLUMNS = {
     "scored": {"Description": "1 from the scored game on", "Units": "1"},
 }
 NAMES = [UNSCORED, *CONDITIONS]
+TABLES = {"trials.csv", "trials.json", "trials_wide.csv", "counts.csv", "counts.json"}
 
 
 def ticks_of(label: str, name: str, round_: int, n: int = 4) -> pd.DataFrame:
@@ -122,6 +123,8 @@ def test_a_study_is_laid_out_as_bids_has_it(records, folder):
         ".bidsignore",
         ".lock",
         "README",
+        "counts.csv",
+        "counts.json",
         "dataset_description.json",
         "manifest.json",
         "participants.json",
@@ -134,7 +137,10 @@ def test_a_study_is_laid_out_as_bids_has_it(records, folder):
         "sub-P01/beh/sub-P01_task-airhockey_acq-unscored_run-0_beh.tsv",
         "sub-P01/sub-P01_consent.json",
         "trials.csv",
+        "trials.json",
+        "trials_wide.csv",
     ]
+    assert set((folder / ".bidsignore").read_text().split()) >= TABLES
     assert (folder / "participants.tsv").read_text() == "participant_id\tplace\nsub-P01\t0\n"
     dataset = json.loads((folder / "dataset_description.json").read_text())
     assert {"Name", "BIDSVersion", "DatasetType", "GeneratedBy"} <= set(dataset)
@@ -490,7 +496,9 @@ def test_a_disk_that_fails_takes_nothing_and_can_be_mended(records, folder, monk
                 for name, content in before.items():
                     if name == "participants.tsv":
                         assert after[name].startswith(content)
-                    elif "partial" not in name and name != "trials.csv":
+                    elif name in TABLES:
+                        assert after[name].endswith(b"\n")
+                    elif "partial" not in name:
                         assert after[name] == content or json.loads(after[name])["Ratings"]  # old, or new and whole
             finally:
                 failing_at = None

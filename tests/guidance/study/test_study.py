@@ -1,10 +1,13 @@
 """The protocol of section 4.2 with simulated people, models and tables."""
 
+import json
 from collections import Counter
 from dataclasses import replace
+from io import StringIO
 from itertools import pairwise
 
 import numpy as np
+import pandas as pd
 import pytest
 import torch
 
@@ -14,6 +17,7 @@ from airhockey_marl.players.players import greedy
 from guidance.forces.condition_specs import ConditionSpec
 from guidance.forces.conditions import CombinedGuidance, Condition, NoGuidance, Spring, SpringGuidance, Thresholds
 from guidance.simulated_users import NO_ADVISORS, SimulatedUsers, sample_people
+from guidance.statistics.codebook import tables_beside
 from guidance.study.batched_guidance import BatchedGuidance
 from guidance.study.games import no_force, play_games
 from guidance.study.models import Models
@@ -53,7 +57,7 @@ def setup_of(models, conditions, protocol=SHORT) -> StudySetup:
 
 
 def study(models, conditions, protocol=SHORT, people=3, seed=0):
-    return run_study(sample_people(people, 100), setup_of(models, conditions, protocol), seed=seed)
+    return run_study(sample_people(people, 100), setup_of(models, conditions, protocol), seed=seed).trials
 
 
 def test_equal_seeds_give_equal_trials(models):
@@ -83,15 +87,16 @@ def test_a_study_is_played_alike_alone_and_beside_others(models):
     """A hundred people are enough for the kernels to run on several threads."""
     cohorts = [Cohort(sample_people(n, n), n) for n in (3, 100, 4)]
     setup = setup_of(models, [NHG, OAHG, COMBHG])
-    for cohort, trials in zip(cohorts, run_studies(cohorts, setup), strict=True):
-        assert trials.equals(run_studies([cohort], setup)[0])
+    for cohort, tables in zip(cohorts, run_studies(cohorts, setup), strict=True):
+        alone = run_studies([cohort], setup)[0]
+        assert tables.trials.equals(alone.trials) and tables.counts.equals(alone.counts)
 
 
 def test_shuffled_adaptation_changes_ua_and_nothing_else(models):
     cohorts = [Cohort(sample_people(n, n), n) for n in (3, 2)]
     setup = setup_of(models, [NHG, OAHG, UPHG_UA])
     pairs = zip(run_studies(cohorts, setup), run_studies(cohorts, setup, shuffled_adaptation=True), strict=True)
-    for own, shuffled in pairs:
+    for (own, _), (shuffled, _) in pairs:
         ua = own["condition"] == "uphg_ua"
         assert own[~ua].equals(shuffled[~ua])
         assert (own.loc[ua, "mean_disagreement"] != shuffled.loc[ua, "mean_disagreement"]).all()
@@ -123,6 +128,38 @@ def test_rows_and_columns_are_those_of_trials_csv(models):
     assert nhg["w_sim_mean"].isna().all() and ua["w_unc_user_mean"].isna().all()
     assert comb[["w_unc_optimal_mean", "w_unc_user_mean", "w_sim_mean"]].notna().all(axis=None)
     assert trials[["helpfulness", "naturalness", "controllability", "comfort"]].isin(range(1, 8)).all(axis=None)
+
+
+def test_counts_agree_with_the_rates_and_rounds(models):
+    tables = run_study(sample_people(8, 100), setup_of(models, [NHG, OAHG]), seed=0)
+    trials, counts = tables
+    assert counts[["user", "condition"]].equals(trials[["user", "condition"]])
+    assert counts[["rounds_won", "rounds_lost", "rounds_undecided"]].sum(axis=1).equals(trials["rounds"])
+    assert (counts["rounds_won"] / (counts["rounds_won"] + counts["rounds_lost"])).equals(trials["win_rate"])
+    assert (counts["shots_stopped"] / counts["shots_faced"]).equals(trials["defense_rate"])
+    assert (counts["smashes"] == 0).equals(trials["mean_smash_speed"].isna())
+    assert trials["win_rate"].notna().any() and trials["defense_rate"].notna().any()
+
+
+def test_tables_for_other_programs(models):
+    tables = run_study(sample_people(3, 100), setup_of(models, [OAHG, NHG]), seed=0)
+    specs = {condition.name: condition.spec for condition in (NHG, OAHG)}
+    manifest = {"study_hash": "ab", "config": {"users": {"withdrawn": ["comfort"]}}}
+    texts = tables_beside(*tables, specs, manifest)
+    wide = pd.read_csv(StringIO(texts["trials_wide.csv"]), float_precision="round_trip").set_index("user")
+    for row in tables.trials.to_dict("records"):
+        for name in ("win_rate", "comfort", "duration_s", "w_sim_mean", "position"):
+            assert wide.loc[row["user"], f"{name}_{row['condition']}"] == pytest.approx(row[name], abs=0, nan_ok=True)
+    assert list(wide.columns[:2]) == ["position_nhg", "position_oahg"] and len(wide) == 3
+    for name, table in zip(("trials.json", "counts.json"), tables, strict=True):
+        codebook = json.loads(texts[name])
+        assert list(codebook["columns"]) == list(table) and codebook["study"]["withdrawn"] == ["comfort"]
+        for column, entry in codebook["columns"].items():
+            assert {"description", "unit", "type"} <= set(entry)
+            least, largest = entry.get("minimum", -np.inf), entry.get("maximum", np.inf)
+            assert entry["type"] == "text" or table[column].dropna().between(least, largest).all()
+    comfort = json.loads(texts["trials.json"])["columns"]["comfort"]
+    assert comfort["description"].startswith("PROXY") and (comfort["minimum"], comfort["maximum"]) == (1, 7)
 
 
 def test_a_game_has_its_rounds_and_its_extra_rounds_only_while_it_is_short():
