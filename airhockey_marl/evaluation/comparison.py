@@ -16,7 +16,19 @@ from torch import nn
 from airhockey_marl.evaluation.matches import RESULT_COLUMNS, MatchResult, play_matches
 from airhockey_marl.experiment.config import read_config
 from airhockey_marl.experiment.files import load_json
-from airhockey_marl.experiment.plotting import BLUE, GRAY, GREEN, ORANGE, PINK, SKY, YELLOW, label_panel, new_figure
+from airhockey_marl.experiment.html import number
+from airhockey_marl.experiment.plotting import (
+    BLUE,
+    GRAY,
+    GREEN,
+    ORANGE,
+    PINK,
+    SKY,
+    YELLOW,
+    label_panel,
+    legend_below,
+    new_figure,
+)
 from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.league.league import League
 from airhockey_marl.players.players import stochastic
@@ -153,12 +165,14 @@ def _spread(values: pd.Series, digits: int) -> str:
     values = values.dropna()
     if values.empty:
         return "–"
-    spread = f" ± {values.std():.{digits}f}" if len(values) > 1 else ""
-    return f"{values.mean():.{digits}f}{spread}"
+    spread = f" ± {number(values.std(), digits)}" if len(values) > 1 else ""
+    return f"{number(values.mean(), digits)}{spread}"
 
 
 def comparison_figure(results: pd.DataFrame) -> Figure:
     """Win rates against the scripts and generation 0 during training: thin lines are seeds, thick lines their mean."""
+    from matplotlib.ticker import MaxNLocator
+
     figure = new_figure(12, 4.2)
     panels = figure.subplots(1, len(SCRIPTS) + 1, sharey=True)
     algorithms, rates = sorted(results["algorithm"].unique()), win_rates(results)
@@ -176,6 +190,7 @@ def comparison_figure(results: pd.DataFrame) -> Figure:
         axes.axhline(0.5, color=GRAY, linewidth=0.8, linestyle=":")
         axes.set_ylim(-0.02, 1.02)
         label = "share of decided rounds won" if axes is panels[0] else ""
+        axes.xaxis.set_major_locator(MaxNLocator(4))
         label_panel(axes, f"against {opponent}", "steps of play in millions", label)
-    figure.legend(loc="outside lower center", ncols=len(styles), frameon=False, fontsize=9)
+    legend_below(figure, panels[0].get_legend_handles_labels()[0])
     return figure

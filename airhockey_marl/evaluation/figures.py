@@ -22,6 +22,7 @@ from airhockey_marl.envs.world import World, round_steps
 from airhockey_marl.evaluation.matches import FRAME_SKIP
 from airhockey_marl.evaluation.policy_std import SITUATIONS
 from airhockey_marl.evaluation.ratings import Proportion, win_rates
+from airhockey_marl.experiment.html import number
 from airhockey_marl.experiment.plotting import (
     BLUE,
     GRAY,
@@ -185,23 +186,25 @@ def precision_figure(table_of_std: pd.DataFrame, maps: tuple[np.ndarray, np.ndar
         axes.tick_params(axis="x", length=0)
         axes.set_yticks([])
         axes.spines[:].set_visible(False)
-    figure.colorbar(image, ax=rest, shrink=0.62, label="mean STD", format=FuncFormatter(lambda std, _: f"{std:.2f}"))
+    figure.colorbar(image, ax=rest, shrink=0.62, label="mean STD", format=FuncFormatter(lambda std, _: number(std)))
     return figure
 
 
 def best_response_figure(results: Sequence[tuple[int, Proportion]]) -> Figure:
     """Win rate of a best response against the last generation, over its steps of training."""
-    from matplotlib.ticker import FuncFormatter
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
 
     steps, shares = zip(*results, strict=True)
     value, low, high, _ = zip(*shares, strict=True)
     figure = new_figure(6.4, 3.2)
     axes = figure.subplots()
     axes.axhline(0.5, color=GRAY, linewidth=0.8)
-    axes.fill_between(steps, low, high, color=ORANGE, alpha=0.2, linewidth=0)
-    axes.plot(steps, value, color=ORANGE, marker="o", markersize=4, linewidth=1.6)
+    ends = np.abs(np.array([low, high]) - value)  # bars: a single result has an interval too
+    axes.errorbar(steps, value, ends, color=ORANGE, marker="o", markersize=4, linewidth=1.6, elinewidth=1.1, capsize=3)
     axes.set_ylim(-0.02, 1.02)
     axes.yaxis.set_major_formatter(percent())
+    axes.set_xlim(left=0)
+    axes.xaxis.set_major_locator(MaxNLocator(5))
     axes.xaxis.set_major_formatter(FuncFormatter(lambda steps, _: f"{steps / 1e6:g} M"))
     axes.set_xlabel("steps that the best response has learned")
     axes.set_ylabel("decided rounds it wins")

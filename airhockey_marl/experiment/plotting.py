@@ -6,13 +6,15 @@ matplotlib is imported by the functions that draw, so that a module with figures
 from __future__ import annotations
 
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 from airhockey_marl.experiment.files import write_bytes
 
 if TYPE_CHECKING:
+    from matplotlib.artist import Artist
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
     from matplotlib.ticker import PercentFormatter
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 # the palette of Okabe and Ito, distinguishable with any kind of color vision
 BLUE, ORANGE, GREEN, PINK, YELLOW, SKY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9"
 INK, GRAY, LIGHT_GRAY = "#222222", "#8C8C8C", "#E3E3E3"
+LABEL_WIDTH = 44  # characters of a line of a legend
 _LABEL = {"fontsize": 9, "color": "#444444"}
 
 
@@ -64,6 +67,21 @@ def percent() -> PercentFormatter:
     from matplotlib.ticker import PercentFormatter
 
     return PercentFormatter(1, symbol=" %")
+
+
+def legend_below(figure: Figure, handles: Sequence[Artist]) -> None:
+    """A legend below all panels, in as many columns as fit; long labels are broken into lines."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+
+    labels = [fill(str(handle.get_label()), LABEL_WIDTH) for handle in handles]
+    style = {"frameon": False, "fontsize": 8.5, "handlelength": 1.1, "columnspacing": 1.4, "handletextpad": 0.5}
+    renderer = FigureCanvasAgg(figure).get_renderer()
+    for columns in range(len(labels), 0, -1):
+        legend = figure.legend(handles, labels, loc="outside lower center", ncols=columns, **style)
+        if legend.get_window_extent(renderer).width <= figure.bbox.width:
+            return
+        if columns > 1:
+            legend.remove()
 
 
 def png_bytes(figure: Figure, dpi: int = 150) -> bytes:

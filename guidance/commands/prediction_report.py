@@ -18,7 +18,7 @@ from omegaconf import DictConfig, OmegaConf
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
 from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import sha256, write_json, write_text
-from airhockey_marl.experiment.html import template
+from airhockey_marl.experiment.html import number, template
 from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.experiment.run_folder import output_folder
 
@@ -89,7 +89,9 @@ def write(folder: Path, results: Mapping, facts: Mapping) -> None:
     print(f"{'error ahead of time (units of action)':42}" + "".join(f"{s:>14g} s" for s in facts["config"]["ahead"]))
     for name, label in NAMES.items():
         rows = [row["rmse"] for row in results["ahead"] if row["predictor"] == name]
-        print(f"{label:42}" + "".join(f"{row['mean']:8.4f} ±{row['high'] - row['mean']:.4f}" for row in rows))
+        cells = [(row["mean"], row["high"] and row["high"] - row["mean"]) for row in rows]
+        print(f"{label:42}" + "".join(f"{number(mean, 4):>8} ±{number(half, 4):<6}" for mean, half in cells))
     own = results["own"]["advantage"]
-    print(f"\na person's own model errs by {own['mean']:.4f} [{own['low']:.4f}, {own['high']:.4f}] less than another's")
+    mean, low, high = (number(own[key], 4) for key in ("mean", "low", "high"))
+    print(f"\na person's own model errs by {mean} [{low}, {high}] less than another's")
     print(f"report: {folder / 'prediction_report.html'}")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from math import ceil
+from collections.abc import Iterable, Mapping, Sequence
+from textwrap import fill
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -18,28 +19,28 @@ from airhockey_marl.experiment.plotting import (
     YELLOW,
     despine,
     label_panel,
+    legend_below,
     new_figure,
 )
 from guidance.forces.condition_specs import ConditionSpec
-from guidance.statistics.design import BEYOND, METRICS, Metric
+from guidance.statistics.design import BEYOND, CONDITIONS, METRICS, Metric
 from guidance.statistics.groups import Group, conditions_of_both, confidence_half_width, names_of
 from guidance.statistics.paper import EVIDENCE
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
+    from matplotlib.lines import Line2D
 
 COLORS = {"NHG": GRAY, "OAHG": YELLOW, "UPHG": BLUE, "CombHG": GREEN, BEYOND: PINK}  # by type of guidance
 SCALE = (1, 7)  # of the ratings
+MOST_LETTERS = 13  # conditions below a panel in the usual size of letters
 SIDES = ((BLUE, "o", -0.16), (YELLOW, "D", 0.16))  # color, marker and shift of two groups side by side
 
 
 def color_of(condition: ConditionSpec) -> str:
     """The color of a condition's bars, by its type of guidance unless it has its own."""
     return condition.color or COLORS[condition.type]
-
-
-LEGEND_ENTRY = 0.4, 0.065  # in, about the width of an entry of Figure 6 without its label, and of a character
 
 
 def figure6(group: Group) -> Figure:
@@ -58,11 +59,7 @@ def figure6(group: Group) -> Figure:
     for axes, (name, metric) in zip(panels, METRICS.items(), strict=True):
         scores = group.trials.pivot(index="user", columns="condition", values=name)[list(present)]
         _draw_bars(axes, scores, list(present.values()), metric, name in group.withdrawn, group.people)
-    legend = [Patch(color=color_of(c), label=f"({c.letter}) {c.label}") for c in present.values()]
-    style = {"frameon": False, "fontsize": 8.5, "handlelength": 1.1, "columnspacing": 1.4, "handletextpad": 0.5}
-    inches = sum(LEGEND_ENTRY[0] + LEGEND_ENTRY[1] * len(patch.get_label()) for patch in legend)
-    rows = ceil(inches / figure.get_figwidth())
-    figure.legend(handles=legend, loc="outside lower center", ncols=ceil(len(legend) / rows), **style)
+    legend_below(figure, [Patch(color=color_of(c), label=f"({c.letter}) {c.label}") for c in present.values()])
     return figure
 
 
@@ -78,8 +75,8 @@ def _draw_bars(
     rating = metric.kind == "subjective"
     proxy = rating and not people
     if rating:
-        axes.set_ylim(*SCALE)
-    elif people:
+        axes.set_ylim(SCALE[0] - 0.5, SCALE[1])  # so that a mean of 1 has a bar
+    else:
         _clip_scale(axes, metric)
     if not rating and np.isnan(mean).all():
         axes.set_yticks([])  # no values, no scale
@@ -88,10 +85,22 @@ def _draw_bars(
     mark = " (PROXY, withdrawn)" if withdrawn else " (PROXY)" if proxy else ""
     unit = "proxy of the 7-point rating" if proxy else "7-point rating" if rating else metric.unit
     label_panel(axes, metric.label + mark, y=unit)
-    axes.set_xticks(places, [f"({condition.letter})" for condition in conditions])
+    _letter_ticks(axes, conditions)
     middle, half_span = (len(conditions) - 1) / 2, max(len(conditions), 5) / 2  # a few bars do not fill the panel
     axes.set_xlim(middle - half_span - 0.1, middle + half_span + 0.1)
     axes.tick_params(axis="x", length=0)
+
+
+def _letter_ticks(axes: Axes, conditions: Sequence[ConditionSpec]) -> None:
+    size = min(9.0, 9.0 * MOST_LETTERS / len(conditions))
+    axes.set_xticks(range(len(conditions)), [f"({condition.letter})" for condition in conditions], fontsize=size)
+
+
+def _letters(conditions: Iterable[ConditionSpec]) -> list[Line2D]:
+    """Entries of a legend that says which condition a letter is."""
+    from matplotlib.lines import Line2D
+
+    return [Line2D([], [], linestyle="none", label=f"({c.letter}) {c.label}") for c in conditions]
 
 
 def _clip_scale(axes: Axes, metric: Metric) -> None:
@@ -131,18 +140,18 @@ def means_beside(here: Group, beside: Group) -> Figure:
             _clip_scale(axes, metric)
         label_panel(axes, metric.label, y=rating_label if rating else metric.unit)
         axes.yaxis.label.set_fontsize(8 if rating else 9)
-        axes.set_xticks(range(len(conditions)), [f"({condition.letter})" for condition in conditions.values()])
+        _letter_ticks(axes, list(conditions.values()))
         axes.set_xlim(-0.6, len(conditions) - 0.4)
-    entries = panels[0].get_legend_handles_labels()
-    figure.legend(*entries, loc="outside lower center", ncols=2, frameon=False, fontsize=9)
+    legend_below(figure, [*panels[0].get_legend_handles_labels()[0], *_letters(conditions.values())])
     return figure
 
 
-def robustness_map(findings: pd.DataFrame) -> Figure:
+def robustness_map(findings: pd.DataFrame, names: Mapping[str, str]) -> Figure:
     """Draw how many studies replicate each finding of the paper.
 
     Args:
         findings: as `robustness.findings_over` returns them.
+        names: of the groups of studies.
 
     Returns:
         A row per finding, grouped by evidence class. Left, a cell per group of studies: the share that replicates the
@@ -171,7 +180,8 @@ def robustness_map(findings: pd.DataFrame) -> Figure:
         if reversed_[row, column] >= 0.05:
             text, color = f"{100 * reversed_[row, column]:.0f}", "#ffb3a0" if dark else "#c0392b"
             cells.text(column + 0.36, row, text, fontsize=6.5, color=color, fontweight="bold", **center)
-    cells.set_xticks(range(len(groups)), groups, fontsize=8)
+    titles = [fill(names[group], 13, break_long_words=False) for group in groups]
+    cells.set_xticks(range(len(groups)), titles, fontsize=7)
     cells.xaxis.tick_top()
     labels = []
     for row in first.itertuples():
@@ -187,9 +197,11 @@ def robustness_map(findings: pd.DataFrame) -> Figure:
     effects.plot(first["dz_paper"], places, "D", color=YELLOW, markersize=4)
     effects.set_xlabel("$d_z$ toward the paper: studies (blue), paper, at least (orange)", fontsize=8)
     effects.tick_params(axis="x", labelsize=8)
+    effects.tick_params(axis="y", length=0)
     effects.grid(axis="x", color=LIGHT_GRAY, linewidth=0.8)
     despine(effects)
     for boundary in np.flatnonzero(np.diff(first["evidence"].map(order))) + 0.5:
         for axes in (cells, effects):
             axes.axhline(boundary, color=INK, linewidth=0.8)
+    legend_below(figure, _letters(CONDITIONS.values()))
     return figure

@@ -9,6 +9,8 @@ from omegaconf import DictConfig
 from airhockey_marl.experiment.files import atomic_write, write_text
 from airhockey_marl.experiment.html import template
 from airhockey_marl.experiment.plotting import save_figure
+from airhockey_marl.experiment.validation.tables import Column, read_table
+from guidance.statistics.codebook import TRIAL_COLUMNS
 from guidance.statistics.design import METRICS
 from guidance.statistics.figures import robustness_map
 from guidance.statistics.paper import EVIDENCE, reference_points
@@ -22,12 +24,20 @@ from guidance.statistics.robustness import (
 )
 from guidance.study.replication import ONE_PLAYSTYLE, REPLICATES, SHUFFLED_ADAPTATION, batches_of
 
+BATCH_COLUMNS = TRIAL_COLUMNS | {"study": Column(low=0.0, whole=True)}
+
+NAMES = {  # of groups of studies; the others are of other assumptions
+    REPLICATES: "as the study is",
+    SHUFFLED_ADAPTATION: "UA from somebody else’s game",
+    ONE_PLAYSTYLE: "people of one style",
+}
+
 
 def summarize(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame) -> str:
     """Test every study, write tables, figure and page to `folder`, and return a table for the screen."""
     withdrawn, outcomes, scores = list(cfg.users.withdrawn), [], []
     for batch in batches_of(cfg):
-        for study, trials in pd.read_csv(batch.file(folder), dtype={"user": "str"}).groupby("study"):
+        for study, trials in read_table(batch.file(folder), BATCH_COLUMNS).groupby("study"):
             outcome = outcomes_of(trials, withdrawn)
             outcomes.append(outcome.assign(group=batch.group, study=study))
             scores.append({"group": batch.group, "study": study} | scores_of(trials, outcome))
@@ -40,7 +50,8 @@ def summarize(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
     for name, table in tables.items():
         with atomic_write(folder / f"{name}.csv") as temporary:
             table.to_csv(temporary, index=False)
-    svg = save_figure(lambda: robustness_map(findings), folder, "robustness", dpi=130)
+    names = {group: NAMES.get(group, f"other assumptions, {group}") for group in groups}
+    svg = save_figure(lambda: robustness_map(findings, names), folder, "robustness", dpi=130)
     by_group = {}
     for group, rows in scores.groupby("group", sort=False):
         rows = rows.drop(columns=["group", "study"])
@@ -60,21 +71,19 @@ def summarize(folder: Path, cfg: DictConfig, facts: dict, factors: pd.DataFrame)
         rerun=rerun,
         figure=base64.b64encode(svg).decode("ascii"),
         facts=facts,
-        names={
-            REPLICATES: "as the study is",
-            SHUFFLED_ADAPTATION: "UA from somebody else’s game",
-            ONE_PLAYSTYLE: "people of one style",
-        },
+        names=names,
+        participants=cfg.participants,
         ua=adaptation_effects(outcomes).to_dict("records"),
     )
     write_text(folder / "replicate.html", page)
-    lines = [
-        f"{'':12}{'studies':>8}{'of 38':>16}" + "".join(f"{e:>8}" for e in EVIDENCE) + f"{'reversed':>10}{'wrong':>8}"
-    ]
+    width = max(map(len, by_group)) + 2
+    titles = f"{'':{width}}{'studies':>8}{'of 38':>16}" + "".join(f"{e:>8}" for e in EVIDENCE)
+    lines = [f"{titles}{'reversed':>10}{'wrong':>8}"]
     for group, row in by_group.items():
         total = row["replicated"]
+        share = f"{total['mean']:>6.1f} [{total['low']:.0f}, {total['high']:.0f}]"
         lines.append(
-            f"{group:12}{row['studies']:>8}{total['mean']:>6.1f} [{total['low']:.0f}, {total['high']:.0f}]".ljust(36)
+            f"{group:{width}}{row['studies']:>8}{share:16}"
             + "".join(f"{row[f'replicated_{e}']['mean']:>8.1f}" for e in EVIDENCE)
             + f"{row['reversed']['mean']:>10.1f}{row['false_positives']['mean']:>8.1f}"
         )

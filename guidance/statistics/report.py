@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 
 from airhockey_marl.experiment.files import atomic_write, write_text
-from airhockey_marl.experiment.html import template
+from airhockey_marl.experiment.html import number, template
 from airhockey_marl.experiment.plotting import save_figure
 from guidance.forces.condition_specs import ConditionSpec
 from guidance.statistics.design import (
@@ -65,14 +65,14 @@ def write_report(
 
 
 def screen_table(group: Group) -> str:
-    """The means of the eight metrics per condition as aligned text, 97 characters wide, for a terminal."""
+    """The means of the eight metrics per condition as aligned text for a terminal."""
     ratings = "7-point ratings" if group.people else "PROXY of the 7-point ratings"
     means = group.trials.groupby("condition")[list(METRICS)].mean()
-    width, gap = 22, 9
+    gap, width = 9, max(22, *(len(condition.label) + 5 for condition in group.conditions.values()))
     lines = [f"{'':{width + 4 * gap}} | {ratings:^{4 * gap}}"]
     cells = [("condition", [f"{name:>{gap}}" for name in SHORT_METRICS])]
     for name, condition in group.conditions.items():
-        values = ["–" if np.isnan(value) else f"{value:.2f}" for value in means.loc[name]]
+        values = [number(value) for value in means.loc[name]]
         cells.append((f"({condition.letter}) {condition.label}", [f"{value:>{gap}}" for value in values]))
     lines += [f"{label:{width}}{''.join(row[:4])} | {''.join(row[4:])}" for label, row in cells]
     return "\n".join(lines)
@@ -103,7 +103,7 @@ def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
     ours = comparison.assign(tested=tested, greater=comparison["greater"].where(counts, ""))
     paper = comparison.assign(tested=True, greater=comparison["paper_greater"])
     enough = group.size >= FEWEST_PARTICIPANTS
-    by_chance, rerun = (reference_points(group.size) if enough else (None, None)) if people else reference_points()
+    by_chance, rerun = reference_points(group.size) if enough else (None, None)
     in_family = tests.groupby("family", sort=False)["n"].max()
 
     return template(Path(__file__).parent / "templates", "report.html", p=_p).render(
@@ -201,7 +201,8 @@ def _weights(trials: pd.DataFrame) -> list[dict[str, Any]]:
     """Mean and SD of each weight within a game, averaged over the games that have it (section 6.1), and the paper's."""
     rows = published_results("weights").to_dict("records")
     for row in rows:
-        mean, sd = (trials[f"{row['weight']}_{statistic}"] for statistic in ("mean", "sd"))
+        none = pd.Series(dtype=float)  # the columns are optional
+        mean, sd = (trials.get(f"{row['weight']}_{statistic}", none) for statistic in ("mean", "sd"))
         row |= {"games": mean.count(), "our_mean": mean.mean(), "our_sd": sd.mean()}
     return rows
 

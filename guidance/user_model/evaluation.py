@@ -178,8 +178,10 @@ def reliability(predictor: Predictor, observation: Tensor, action: Tensor, bins:
 
 def mean_interval(values: np.ndarray, confidence: float = 0.95) -> tuple[float, float, float]:
     """Mean of values (n,), and the ends of Student's confidence interval of it; NaN for n = 1."""
-    mean, n = float(values.mean()), len(values)
-    half = stats.t.ppf(0.5 + confidence / 2, n - 1) * values.std(ddof=1) / math.sqrt(n) if n > 1 else math.nan
+    n = len(values)
+    with np.errstate(over="ignore", invalid="ignore"):  # of a model that UA has made diverge
+        mean = float(values.mean())
+        half = stats.t.ppf(0.5 + confidence / 2, n - 1) * values.std(ddof=1) / math.sqrt(n) if n > 1 else math.nan
     return mean, mean - half, mean + half
 
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 
+WIDTH = 8  # characters of a number
+
 
 def template(folder: Path, name: str, **filters: Callable) -> Template:
     """Load a page template, which may extend `base.html` and import from `macros.html`.
@@ -29,7 +31,14 @@ def template(folder: Path, name: str, **filters: Callable) -> Template:
 
 
 def number(value: float | None, digits: int = 2) -> str:
-    """Format a number with a typographic minus sign; a dash for None and NaN."""
+    """Format a number of any size in at most `WIDTH` characters, with a typographic minus; a dash for None and NaN.
+
+    It has `digits` decimals, fewer if it would be too long, and then an exponent.
+    """
     if value is None or math.isnan(value):
         return "–"
-    return f"{round(value, digits) + 0.0:.{digits}f}".replace("-", "−")  # + 0.0 turns -0.0 into 0.0
+    texts = ["∞"] if math.isinf(value) else [f"{round(value, n) + 0.0:.{n}f}" for n in range(digits, -1, -1)]
+    mantissa, _, exponent = f"{abs(value):.1e}".partition("e")
+    short = (text.strip("-") for text in texts if len(text.strip("-")) < WIDTH)
+    text = next(short, f"{mantissa}e{int(exponent or 0)}")
+    return f"−{text}" if value < 0 and text.strip("0.") else text

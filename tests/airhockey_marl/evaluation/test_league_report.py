@@ -14,7 +14,7 @@ import pytest
 from PIL import Image
 
 from airhockey_marl.commands import league_report
-from airhockey_marl.evaluation.figures import payoff_figure
+from airhockey_marl.evaluation.figures import best_response_figure, payoff_figure
 from airhockey_marl.evaluation.league_metrics import (
     EvaluationConfig,
     LeagueMetrics,
@@ -31,6 +31,7 @@ from airhockey_marl.experiment.files import save_tensors, write_json
 from airhockey_marl.league.league import League
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 from tests.airhockey_marl.league.test_league import league_of
+from tests.pictures import faults
 
 SIZES = {"every": 5, "rounds": 2, "match_rounds": 4, "save_tables": 3, "std_tables": 4, "std_seconds": 8.0}
 CONFIG = EvaluationConfig(**SIZES, seed=1, frame_skip=2)
@@ -140,6 +141,13 @@ def test_report_is_reproducible(written, league, tmp_path):
     write_report(tmp_path, league, None, CARD, CONFIG, evaluate_league(league, None, CONFIG))
     for name in FILES:
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes(), name
+
+
+def test_a_single_best_response_has_an_interval():
+    figure = best_response_figure([(2000, Proportion.from_counts(3, 9))])
+    assert not faults(figure)
+    (bar,) = figure.axes[0].containers[0].lines[2][0].get_segments()
+    assert bar[:, 1] == pytest.approx(Proportion.from_counts(3, 9)[1:3])
 
 
 def test_matches_and_best_response_are_shown(written, league):
@@ -318,9 +326,7 @@ def test_invalid_runs_are_named(monkeypatch, capsys, tmp_path, league):
     matches().replace({"opponent": {"random": "wall"}}).to_csv(run / "matches.csv", index=False)
     assert "scripted player = 'wall' must be one of" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
     (run / "matches.csv").write_text("a,b\n1,2\n")
-    assert "matches.csv lacks the columns generation, opponent, won" in complaint(
-        monkeypatch, capsys, tmp_path, f"run={run}"
-    )
+    assert "lacks the columns generation, opponent, won" in complaint(monkeypatch, capsys, tmp_path, f"run={run}")
     save_tensors(run / "league.safetensors", league.stacked_weights(), {})
     with pytest.raises(ValueError, match="not a file of this project"):
         League.load(run / "league.safetensors")

@@ -74,7 +74,7 @@ def test_the_assumption_that_matters_is_found(outcomes):
 
 def test_the_map_has_a_cell_per_finding_and_group(outcomes):
     both = pd.concat([outcomes, outcomes.assign(group="h")])
-    cells, effects = robustness_map(findings_over(both)).axes
+    cells, effects = robustness_map(findings_over(both), {group: group for group in set(both["group"])}).axes
     assert cells.images[0].get_array().shape == (38, 2)
     assert len(effects.lines[1].get_xdata()) == 38
 

@@ -4,6 +4,7 @@ import json
 import math
 import re
 import sys
+import warnings
 from dataclasses import replace
 
 import numpy as np
@@ -13,6 +14,7 @@ from torch import nn
 
 from airhockey_marl.envs.physics import TableSpec, action_range
 from airhockey_marl.experiment.command import run
+from airhockey_marl.experiment.plotting import save_png
 from guidance.commands import prediction_report
 from guidance.study import prediction
 from guidance.study.models import Models
@@ -29,9 +31,11 @@ from guidance.user_model.evaluation import (
     predictors,
     reliability,
     ticks_ahead,
+    with_intervals,
 )
 from guidance.user_model.maml import parameters
 from tests.guidance.user_model.test_training import ALPHA, Gaussian
+from tests.pictures import faults
 
 TABLE = TableSpec()
 MIDDLE, HALF = (torch.tensor(part, dtype=torch.float32) for part in action_range(TABLE))
@@ -179,6 +183,40 @@ def test_the_report_is_whole(reported):
     assert pictures == 3 and "http" not in text.replace("http-equiv", "")
     for name in ("ahead", "adaptation", "reliability"):
         assert (reported / f"{name}.png").stat().st_size > 10_000
+
+
+def test_numbers_of_any_magnitude_fit(reported, tmp_path, monkeypatch, capsys):
+    """UA may diverge: a likelihood of 29 digits, infinite and undefined errors."""
+    results = json.loads((reported / "prediction.json").read_text())
+    facts = {key: results.pop(key) for key in ("people", "models", "config")}
+    huge, none = {"mean": 7.9e28, "low": -1e300, "high": 1e300}, dict.fromkeys(("mean", "low", "high"))
+    for row in results["ahead"]:
+        if row["predictor"] == "after_ua":
+            row |= {"nll": huge, "loss": huge, "rmse": none, "gain": none}
+    for key, values in (("minutes", (0.167, 0.5, 1.0, 2.0, 4.0, 8.0)), ("steps", (1, 2, 3, 5, 10))):
+        one = results[key][0]
+        results[key] = [one | {key: value} for value in values[:-2]] + [
+            one | {key: value, "rmse": error} for value, error in zip(values[-2:], (huge, none), strict=True)
+        ]
+    results["matrix"][0][1] = float("nan")
+    results["reliability"]["after_ua"]["seen"][-1] = float("inf")
+    figures = []
+    monkeypatch.setattr("guidance.user_model.figures.save_png", lambda f, path: figures.append(f) or save_png(f, path))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", RuntimeWarning)
+        prediction_report.write(tmp_path, results, facts)
+    assert len(figures) == 3 and not [fault for figure in figures for fault in faults(figure)]
+    table = re.search("<tbody>(.*?)</tbody>", (tmp_path / "prediction_report.html").read_text(), re.DOTALL)[1]
+    cells = re.sub(r"&#39;|<[^>]+>|[\[\],]", " ", table)
+    assert "7.9e28" in cells and not [word for word in cells.split() if any(map(str.isdigit, word)) and len(word) > 8]
+    assert max(map(len, capsys.readouterr().out.splitlines()[:6])) <= 110
+
+
+def test_intervals_of_diverged_models_warn_of_nothing():
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        found = with_intervals({"rmse": np.array([1.0, np.inf]), "nll": np.array([1e300, -1e300, 1.7e308])})
+    assert found["rmse"] == {"mean": None, "low": None, "high": None} and found["nll"]["high"] is None
 
 
 @pytest.mark.parametrize(
