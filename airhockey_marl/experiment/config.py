@@ -34,8 +34,8 @@ CHANGEABLE = ("compute", "threads", "collector", "pictures_every", "ray")  # whe
 COMMAND_GROUPS = ("preset", "sweep")  # with a folder for each command, conf/preset/<command>/
 # keys of names and paths for which the yaml has no text: nothing, or an empty list
 TEXT_KEYS = {
-    *("participant", "resume", "run", "runs", "game", "beside", "out", "by", "command", "status", "ray", "address"),
-    *("beyond", "metrics", "scripted_players", "partition", "account", "data"),
+    *("participant", "resume", "run", "runs", "game", "beside", "out", "by", "command", "status", "address"),
+    *("metrics", "scripted_players", "partition", "account", "data"),
 }
 KINDS = {bool: "true or false", int: "a whole number", float: "a number", str: "a text"}  # of simple values
 

@@ -78,7 +78,7 @@ def test_command_writes_all_results(monkeypatch, capsys, sweep, tmp_path):
     there, back = across.loc[("TRPO", 1, "SAC", 0)], across.loc[("SAC", 0, "TRPO", 1)]
     assert (there["won"], there["lost"]) == (back["lost"], back["won"])
 
-    lines = capsys.readouterr().out.splitlines()
+    lines = capsys.readouterr().out.splitlines()[1:]
     assert " ".join(lines[0].split()) == "win rate against seeds defender striker generation 0 SAC TRPO frames/s"
     assert lines[1].split()[:2] == ["SAC", "1"] and lines[2].split()[:2] == ["TRPO", "2"]
     assert lines[1].endswith("500") and lines[2].endswith("500 ± 0")
