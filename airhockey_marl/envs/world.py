@@ -1,7 +1,6 @@
 """n tables side by side: serves, rounds, the referee, observations, and the step of all tables."""
 
 from math import cos, floor, hypot, pi, sin
-from numbers import Integral
 
 import numpy as np
 from numba import njit
@@ -157,7 +156,7 @@ class World:
 
     PARALLEL_FROM = 256  # tables; below, starting the threads costs more than they save
 
-    def __init__(self, n: int, table: TableSpec | None = None, seed: int = 0) -> None:
+    def __init__(self, n: int, table: TableSpec | None = None, seed: int | None = 0) -> None:
         check_counts(tables=n)
         self.n, self.table = n, check_table(table or TableSpec())
         self._values = tuple(self.table)  # numba takes a plain tuple faster than a NamedTuple, by 1.5 us a call
@@ -170,11 +169,12 @@ class World:
         self.served = np.zeros(n, dtype=np.bool_)
         self.seed(seed)
 
-    def seed(self, seed: int) -> None:
-        """Seed the random numbers: table i gets `seed` + i, as in vector environments."""
-        if not isinstance(seed, Integral):
-            raise ValueError(f"seed = {seed!r} must be a whole number")
-        seeds = np.arange(self.n, dtype=np.uint64) + np.uint64(seed % 2**63)
+    def seed(self, seed: int | None) -> None:
+        """Seed the random numbers: table i gets `seed` + i, as in vector environments; None takes one from entropy."""
+        if seed is None:
+            seed = np.random.SeedSequence().entropy
+        check_counts(0, seed=seed)
+        seeds = np.arange(self.n, dtype=np.uint64) + np.uint64(int(seed) % 2**63)
         self.rng[:] = (seeds + np.uint64(1)) * np.uint64(0xD1342543DE82EF95)  # far apart in splitmix64's period
 
     def new_rounds(self, mask: np.ndarray | None = None) -> None:

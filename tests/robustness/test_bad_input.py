@@ -45,7 +45,7 @@ TABLE = [
     (lambda: check_table(TableSpec(goal="wide")), r"table\.goal = 'wide' must be a finite number"),
     (lambda: GAME.step({"left": ROWS, "right": [0.0]}), r"actions\['right'\]: list, must be numbers of shape \(2,\)"),
     (lambda: GAME.step({"left": ROWS}), r"actions\['right'\]: NoneType, must be numbers"),
-    (lambda: AirHockey(render_mode="gif"), r"render_mode = 'gif' must be None or 'rgb_array'"),
+    (lambda: AirHockey(render_mode="gif"), r"render_mode = 'gif' must be None, 'human' or 'rgb_array'"),
     (lambda: make_env("batched", 2, -1.0, 1, 0), r"round_seconds = -1\.0 must be at least"),
     (lambda: make_env("batched", 2, 1.0, 0, 0), r"frame_skip = 0 must be a whole number of at least 1"),
     (lambda: make_env("gym", 2, 1.0, 1, 0), r"env\.backend = 'gym' must be 'batched' or 'pettingzoo'"),
