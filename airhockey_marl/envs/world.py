@@ -131,6 +131,7 @@ def observe(bodies: np.ndarray, agent: int, out: np.ndarray) -> None:
             out[index, 8 + column] = turn * bodies[index, PUCK, column]
 
 
+FLOATS = (np.dtype(np.float32), np.dtype(np.float64))  # those that compiled code takes
 INTEGERS = (int, np.integer)  # made once: `step` checks against it every time
 
 
@@ -194,8 +195,8 @@ class World:
             indices: (k,) int64, the tables to step, by default all; the others do not change.
         """
         # checked, because compiled code would access foreign memory
-        if not isinstance(actions, np.ndarray) or actions.shape != (self.n, 2, 2) or actions.dtype.kind != "f":
-            raise ValueError(f"actions: {kind_of(actions)}, must be an array of floats of shape {(self.n, 2, 2)}")
+        if not isinstance(actions, np.ndarray) or actions.shape != (self.n, 2, 2) or actions.dtype not in FLOATS:
+            raise ValueError(f"actions: {kind_of(actions)}, must be numpy float32 or float64 of shape {(self.n, 2, 2)}")
         if indices is None:
             indices = self._all
         else:
@@ -210,8 +211,8 @@ class World:
         """Write the observations of `agent` (`LEFT` or `RIGHT`) into `out` (n, 12) and return it; see `observe`."""
         if agent not in (LEFT, RIGHT):
             raise ValueError(f"agent = {agent!r} must be {LEFT} or {RIGHT}")
-        if not isinstance(out, np.ndarray) or out.shape != (self.n, 12) or out.dtype.kind != "f":
-            raise ValueError(f"out: {kind_of(out)}, must be an array of floats of shape {(self.n, 12)}")
+        if not isinstance(out, np.ndarray) or out.shape != (self.n, 12) or out.dtype not in FLOATS:
+            raise ValueError(f"out: {kind_of(out)}, must be numpy float32 or float64 of shape {(self.n, 12)}")
         observe(self.bodies, agent, out)
         return out
 

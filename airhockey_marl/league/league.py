@@ -13,6 +13,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from airhockey_marl.experiment.files import load_tensors, save_tensors
+from airhockey_marl.experiment.validation import as_tensor
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 
@@ -62,6 +63,7 @@ class OpponentBatch(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""
+        observation = as_tensor("observation", observation, 12, self.policy.head.weight.dtype)
         shape = (*observation.shape[:-1], -1)
         by_player = observation.reshape(len(self.player_ids), -1, observation.shape[-1])
         if not self.scripted:
