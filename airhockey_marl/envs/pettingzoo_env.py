@@ -16,7 +16,8 @@ Info          `touched`: whether the agent's paddle hit the puck in this step.
 
 `torchrl_env.AirHockeyEnv` is a batch of n such tables behind TorchRL's `EnvBase`. Both play on `world.World`, and with
 the same seeds and actions their trajectories are equal bit for bit: table i of a batch seeded with s plays like an
-`AirHockey` seeded with s + i.
+`AirHockey` seeded with s + i. A seed is an integer of at least 0. An environment that was never seeded takes one from
+the operating system's entropy, and `reset` without a seed goes on with the random numbers.
 """
 
 from typing import Any, ClassVar
@@ -26,7 +27,7 @@ from gymnasium.spaces import Box
 from pettingzoo import ParallelEnv
 
 from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
-from airhockey_marl.envs.rendering import draw_table
+from airhockey_marl.envs.rendering import TableWindow, draw_table
 from airhockey_marl.envs.world import ACTION_SIZE, AGENTS, OBSERVATION_SIZE, World, round_steps
 from airhockey_marl.experiment.validation import kind_of
 
@@ -38,10 +39,15 @@ class AirHockey(ParallelEnv):
         round_seconds: length of a round in s, after which it is truncated.
         frame_skip: ticks per step.
         table: sizes and limits; `TableSpec()` by default.
-        render_mode: `None` or `"rgb_array"`.
+        render_mode: None, "rgb_array", or "human" for a window in which `reset` and `step` show the table at the
+            speed of a real one.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"name": "air_hockey_v0", "render_modes": ["rgb_array"], "render_fps": 50}
+    metadata: ClassVar[dict[str, Any]] = {
+        "name": "air_hockey_v0",
+        "render_modes": ["human", "rgb_array"],
+        "render_fps": 50,  # with a `frame_skip` of 1
+    }
 
     def __init__(
         self,
@@ -50,12 +56,14 @@ class AirHockey(ParallelEnv):
         table: TableSpec | None = None,
         render_mode: str | None = None,
     ) -> None:
-        if render_mode not in (None, "rgb_array"):
-            raise ValueError(f"render_mode = {render_mode!r} must be None or 'rgb_array'")
-        self.world = World(1, table)
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode = {render_mode!r} must be None, 'human' or 'rgb_array'")
+        self.world = World(1, table, seed=None)
         self.frame_skip = frame_skip
         self.max_steps = round_steps(round_seconds, self.world.table, frame_skip)
         self.render_mode = render_mode
+        self.metadata = {**self.metadata, "render_fps": 1 / (frame_skip * self.world.table.tick)}
+        self._window = TableWindow(self.world.table, self.metadata["render_fps"]) if render_mode == "human" else None
         self.possible_agents = list(AGENTS)
         self.agents: list[str] = []
         self._steps = 0
@@ -72,17 +80,23 @@ class AirHockey(ParallelEnv):
         return self.action_spaces[agent]
 
     def reset(self, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[dict, dict]:
-        """Begin a round and return observations and infos; `seed` restarts the random numbers of the serves."""
+        """Begin a round and return observations and infos; a `seed` restarts the random numbers of the serves."""
         if seed is not None:
             self.world.seed(seed)
         self.world.new_rounds()
         self._steps = 0
         self.agents = list(AGENTS)
+        self._show()
         return self._observe(), {agent: {} for agent in AGENTS}
 
     def step(self, actions: dict[str, np.ndarray]) -> tuple[dict, dict, dict, dict, dict]:
-        """Play one step; returns observations, rewards, terminations, truncations and infos by agent."""
+        """Play one step; returns observations, rewards, terminations, truncations and infos by agent.
+
+        Without agents, after a round, no actions are right, and all that is returned is empty.
+        """
         if not self.agents:
+            if not actions:
+                return {}, {}, {}, {}, {}
             raise RuntimeError("the round is over: call reset() first")
         left, right = actions.get("left"), actions.get("right")
         if not getattr(left, "shape", None) == getattr(right, "shape", None) == (ACTION_SIZE,):  # or sequences of two
@@ -91,13 +105,17 @@ class AirHockey(ParallelEnv):
                     raise ValueError(
                         f"actions[{agent!r}]: {kind_of(actions.get(agent))}, must be numbers of shape (2,)"
                     )
-        self._actions[0, LEFT], self._actions[0, RIGHT] = left, right
+        try:
+            self._actions[0, LEFT], self._actions[0, RIGHT] = left, right
+        except (TypeError, ValueError, RuntimeError) as error:  # RuntimeError of torch: a tensor that requires grad
+            raise ValueError(f"actions: {error}") from error
         self.world.step(self._actions, self.frame_skip)
         self._steps += 1
         goal = int(self.world.goals[0])
         terminated, truncated = goal != 0, goal == 0 and self._steps >= self.max_steps
         if terminated or truncated:
             self.agents = []
+        self._show()
         touched = int(self.world.touched[0])
         return (
             self._observe(),
@@ -108,8 +126,23 @@ class AirHockey(ParallelEnv):
         )
 
     def render(self) -> np.ndarray | None:
-        """The table from above as (height, width, 3) uint8; None unless `render_mode` is "rgb_array"."""
-        return None if self.render_mode is None else draw_table(self.world.bodies[0], self.world.table)
+        """The table from above as (height, width, 3) uint8 in the mode "rgb_array"; in "human", drawn in its window."""
+        if self.render_mode == "rgb_array":
+            return draw_table(self.world.bodies[0], self.world.table)
+        if self._window is not None:
+            self._window.draw(self.world.bodies[0])
+        return None
+
+    def close(self) -> None:
+        """Close the window, if there is one."""
+        if self._window is not None:
+            self._window.close()
+            self._window = None
+
+    def _show(self) -> None:
+        if self._window is not None:
+            self.render()
+            self._window.wait()
 
     def _observe(self) -> dict[str, np.ndarray]:
         observation = np.empty((2, 1, OBSERVATION_SIZE), dtype=np.float32)

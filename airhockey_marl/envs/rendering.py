@@ -1,5 +1,6 @@
 """The table from above, in pixels."""
 
+import os
 from functools import lru_cache
 from typing import NamedTuple
 
@@ -77,3 +78,44 @@ def draw_table(bodies: np.ndarray, table: TableSpec, width: int = 640) -> np.nda
     image = empty_table(view)
     draw_bodies(ImageDraw.Draw(image), view, bodies)
     return np.asarray(image.resize((width, image.height // SMOOTHING), Image.Resampling.BOX))
+
+
+class TableWindow:
+    """A window that shows one table.
+
+    Args:
+        fps: pictures per second.
+
+    Raises:
+        ValueError: there is no display.
+    """
+
+    def __init__(self, table: TableSpec, fps: float, width: int = 960) -> None:
+        import pygame  # only where a window opens
+
+        self.view, self.fps = View(table, width), fps
+        try:
+            pygame.display.init()
+            # without a display SDL may fall back to a driver that draws nothing
+            if pygame.display.get_driver() in ("dummy", "offscreen") and not os.environ.get("SDL_VIDEODRIVER"):
+                raise pygame.error("there is none")
+            self._window = pygame.Window("Air hockey", (width, self.view.size[1] // SMOOTHING))
+        except pygame.error as error:
+            raise ValueError(f"render_mode = 'human' needs a display: {error}") from error
+        self._clock = pygame.time.Clock()
+
+    def draw(self, bodies: np.ndarray) -> None:
+        """Draw the table with `bodies` (3, 4)."""
+        import pygame
+
+        pygame.event.pump()
+        picture = draw_table(bodies, self.view.table, self.view.width)
+        pygame.surfarray.blit_array(self._window.get_surface(), picture.swapaxes(0, 1))
+        self._window.flip()
+
+    def wait(self) -> None:
+        """Wait until a picture has been shown for its time."""
+        self._clock.tick(self.fps)
+
+    def close(self) -> None:
+        self._window.destroy()

@@ -18,27 +18,41 @@ from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.world import ACTION_SIZE, AGENTS, OBSERVATION_SIZE, World, round_steps
 
+FLAGS = ("done", "terminated", "truncated")
+
 
 class AirHockeyEnv(EnvBase):
     """A batch of n tables, batch size (n,).
 
     Each agent is a group of its own, hence the dimension of size 1. Keys, for `agent` "left" and "right":
         (agent, "observation") (n, 1, 12), (agent, "action") (n, 1, 2) and (agent, "reward") (n, 1, 1), float32;
-        "done", "terminated" and "truncated" (n, 1) bool, shared by both agents.
+        "done", "terminated" and "truncated" (n, 1) bool, and the same of each agent, (agent, "done") ... (n, 1, 1).
 
     Args:
         n: number of tables.
         round_seconds, frame_skip, table: as for `AirHockey`.
-        seed: of the serves; table i gets `seed` + i.
+        seed: of the serves; table i gets `seed` + i. None for one from the operating system's entropy.
+        agent_flags: whether each agent has flags of its own. They say the same, as a round ends for both, and cost a
+            third of the speed.
+
+    Attributes:
+        group_map: the agents of each group.
     """
 
     _has_frame_skip = True  # `_step` skips frames itself; without this `EnvBase` would wrap it in a FrameSkipTransform
 
     def __init__(
-        self, n: int, round_seconds: float = 60.0, frame_skip: int = 1, table: TableSpec | None = None, seed: int = 0
+        self,
+        n: int,
+        round_seconds: float = 60.0,
+        frame_skip: int = 1,
+        table: TableSpec | None = None,
+        seed: int | None = None,
+        agent_flags: bool = True,
     ) -> None:
         super().__init__(device="cpu", batch_size=[n])
-        self.world = World(n, table)
+        self.world = World(n, table, seed)
+        self.group_map = {agent: [agent] for agent in AGENTS}
         self.frame_skip = frame_skip
         self.max_steps = round_steps(round_seconds, self.world.table, frame_skip)
         self._steps = np.zeros(n, dtype=np.int64)
@@ -51,24 +65,28 @@ class AirHockeyEnv(EnvBase):
         self.observation_spec = per_agent(observation=Unbounded([n, 1, OBSERVATION_SIZE], dtype=torch.float32))
         self.action_spec = per_agent(action=Bounded(-1.0, 1.0, [n, 1, ACTION_SIZE], dtype=torch.float32))
         self.reward_spec = per_agent(reward=Unbounded([n, 1, 1], dtype=torch.float32))
-        flag = Categorical(2, shape=[n, 1], dtype=torch.bool)
-        self.done_spec = Composite(done=flag.clone(), terminated=flag.clone(), truncated=flag.clone(), shape=[n])
-        self.set_seed(seed)
+        flags = {name: Categorical(2, shape=[n, 1], dtype=torch.bool) for name in FLAGS}
+        self._agent_flags = FLAGS if agent_flags else ()
+        of_agents = per_agent(**{name: flags[name].unsqueeze(-1) for name in FLAGS}) if agent_flags else {}
+        self.done_spec = Composite({**of_agents, **flags}, shape=[n])
 
     def _set_seed(self, seed: int | None) -> None:
-        self.world.seed(0 if seed is None else seed)
+        self.world.seed(seed)
 
-    def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDictBase:
+    def _reset(self, tensordict: TensorDictBase | None = None, seed: int | None = None, **_: Any) -> TensorDictBase:
+        if seed is not None:
+            self.world.seed(seed)
         none = np.zeros(self.world.n, dtype=bool)
-        is_partial = tensordict is not None and "_reset" in tensordict
-        mask = tensordict["_reset"].view(-1).numpy() if is_partial else ~none
+        keys = [] if tensordict is None else ["_reset", *((agent, "_reset") for agent in AGENTS)]
+        masks = [tensordict[key].view(-1) for key in keys if key in tensordict.keys(True)]
+        mask = torch.stack(masks).any(0).numpy() if masks else ~none
         self._steps[mask] = 0
         self.world.new_rounds(mask)
         return self._observe(none, none)
 
     def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
         for index, agent in enumerate(AGENTS):
-            self._actions[:, index] = tensordict[agent, "action"].view(-1, ACTION_SIZE).numpy()
+            self._actions[:, index] = tensordict[agent, "action"].detach().view(-1, ACTION_SIZE).numpy()
         self.world.step(self._actions, self.frame_skip)
         self._steps += 1
         terminated = self.world.goals != 0
@@ -79,13 +97,15 @@ class AirHockeyEnv(EnvBase):
         return result
 
     def _observe(self, terminated: np.ndarray, truncated: np.ndarray) -> TensorDictBase:
-        n, entries = self.world.n, {}
+        n = self.world.n
+        arrays = zip(FLAGS, (terminated | truncated, terminated, truncated), strict=True)
+        flags = {name: torch.from_numpy(flag.copy()).view(n, 1) for name, flag in arrays}
+        entries = {}
         for index, agent in enumerate(AGENTS):
             observation = self.world.observe(index, np.empty((n, OBSERVATION_SIZE), dtype=np.float32))
-            entries[agent] = TensorDict({"observation": torch.from_numpy(observation).view(n, 1, -1)}, [n, 1])
-        flags = {"terminated": terminated, "truncated": truncated, "done": terminated | truncated}
-        entries |= {name: torch.from_numpy(flag.copy()).view(-1, 1) for name, flag in flags.items()}
-        return TensorDict(entries, [n])
+            own = {name: flags[name].view(n, 1, 1) for name in self._agent_flags}
+            entries[agent] = TensorDict({"observation": torch.from_numpy(observation).view(n, 1, -1), **own}, [n, 1])
+        return TensorDict(entries | flags, [n])
 
 
 def make_env(backend: str, tables: int, round_seconds: float, frame_skip: int, seed: int) -> EnvBase:
@@ -96,7 +116,7 @@ def make_env(backend: str, tables: int, round_seconds: float, frame_skip: int, s
             with the same trajectories but slower: the way to use another PettingZoo game.
     """
     if backend == "batched":
-        return AirHockeyEnv(tables, round_seconds, frame_skip, seed=seed)
+        return AirHockeyEnv(tables, round_seconds, frame_skip, seed=seed, agent_flags=False)
     if backend == "pettingzoo":
         makers = [partial(_wrapped, round_seconds, frame_skip, seed + i) for i in range(tables)]
         env = SerialEnv(tables, makers)

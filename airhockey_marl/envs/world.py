@@ -1,7 +1,6 @@
 """n tables side by side: serves, rounds, the referee, observations, and the step of all tables."""
 
 from math import cos, floor, hypot, pi, sin
-from numbers import Integral
 
 import numpy as np
 from numba import njit
@@ -132,6 +131,7 @@ def observe(bodies: np.ndarray, agent: int, out: np.ndarray) -> None:
             out[index, 8 + column] = turn * bodies[index, PUCK, column]
 
 
+FLOATS = (np.dtype(np.float32), np.dtype(np.float64))  # those that compiled code takes
 INTEGERS = (int, np.integer)  # made once: `step` checks against it every time
 
 
@@ -157,7 +157,7 @@ class World:
 
     PARALLEL_FROM = 256  # tables; below, starting the threads costs more than they save
 
-    def __init__(self, n: int, table: TableSpec | None = None, seed: int = 0) -> None:
+    def __init__(self, n: int, table: TableSpec | None = None, seed: int | None = 0) -> None:
         check_counts(tables=n)
         self.n, self.table = n, check_table(table or TableSpec())
         self._values = tuple(self.table)  # numba takes a plain tuple faster than a NamedTuple, by 1.5 us a call
@@ -170,11 +170,12 @@ class World:
         self.served = np.zeros(n, dtype=np.bool_)
         self.seed(seed)
 
-    def seed(self, seed: int) -> None:
-        """Seed the random numbers: table i gets `seed` + i, as in vector environments."""
-        if not isinstance(seed, Integral):
-            raise ValueError(f"seed = {seed!r} must be a whole number")
-        seeds = np.arange(self.n, dtype=np.uint64) + np.uint64(seed % 2**63)
+    def seed(self, seed: int | None) -> None:
+        """Seed the random numbers: table i gets `seed` + i, as in vector environments; None takes one from entropy."""
+        if seed is None:
+            seed = np.random.SeedSequence().entropy
+        check_counts(0, seed=seed)
+        seeds = np.arange(self.n, dtype=np.uint64) + np.uint64(int(seed) % 2**63)
         self.rng[:] = (seeds + np.uint64(1)) * np.uint64(0xD1342543DE82EF95)  # far apart in splitmix64's period
 
     def new_rounds(self, mask: np.ndarray | None = None) -> None:
@@ -194,8 +195,8 @@ class World:
             indices: (k,) int64, the tables to step, by default all; the others do not change.
         """
         # checked, because compiled code would access foreign memory
-        if not isinstance(actions, np.ndarray) or actions.shape != (self.n, 2, 2) or actions.dtype.kind != "f":
-            raise ValueError(f"actions: {kind_of(actions)}, must be an array of floats of shape {(self.n, 2, 2)}")
+        if not isinstance(actions, np.ndarray) or actions.shape != (self.n, 2, 2) or actions.dtype not in FLOATS:
+            raise ValueError(f"actions: {kind_of(actions)}, must be numpy float32 or float64 of shape {(self.n, 2, 2)}")
         if indices is None:
             indices = self._all
         else:
@@ -210,8 +211,8 @@ class World:
         """Write the observations of `agent` (`LEFT` or `RIGHT`) into `out` (n, 12) and return it; see `observe`."""
         if agent not in (LEFT, RIGHT):
             raise ValueError(f"agent = {agent!r} must be {LEFT} or {RIGHT}")
-        if not isinstance(out, np.ndarray) or out.shape != (self.n, 12) or out.dtype.kind != "f":
-            raise ValueError(f"out: {kind_of(out)}, must be an array of floats of shape {(self.n, 12)}")
+        if not isinstance(out, np.ndarray) or out.shape != (self.n, 12) or out.dtype not in FLOATS:
+            raise ValueError(f"out: {kind_of(out)}, must be numpy float32 or float64 of shape {(self.n, 12)}")
         observe(self.bodies, agent, out)
         return out
 

@@ -6,6 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,6 +14,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from airhockey_marl.experiment.files import load_tensors, save_tensors
+from airhockey_marl.experiment.validation import as_tensor
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.scripted import SCRIPTED_PLAYERS
 
@@ -62,6 +64,7 @@ class OpponentBatch(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (n, ..., 12) to mean and STD (n, ..., 2); n must be a multiple of k."""
+        observation = as_tensor("observation", observation, 12, self.policy.head.weight.dtype)
         shape = (*observation.shape[:-1], -1)
         by_player = observation.reshape(len(self.player_ids), -1, observation.shape[-1])
         if not self.scripted:
@@ -160,6 +163,37 @@ class League:
         league.snapshots = [snapshot.clone().lock_() for snapshot in stacked.unbind(0)]
         league.hashes = [weights_hash(snapshot) for snapshot in league.snapshots]
         return league
+
+
+def load_model(path: Path | str) -> tuple[GaussianPolicy, dict[str, Any]]:
+    """The one model in a file, and the file's metadata.
+
+    Raises:
+        ValueError: the file is missing or broken, or its tensors do not fit the architecture it states.
+    """
+    tensors, facts = load_tensors(path)
+    try:
+        model = GaussianPolicy.from_architecture(facts)
+        check_weights(model, tensors)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+    model.load_state_dict(tensors)
+    return model.requires_grad_(False), facts
+
+
+def load_policy(path: Path | str, generation: int | None = None) -> tuple[GaussianPolicy, dict[str, Any]]:
+    """A generation of the league in a file, the newest if None, or the one model in it; and what is known of it.
+
+    Raises:
+        ValueError: the file is missing or broken, or has no such generation.
+    """
+    tensors, facts = load_tensors(path)
+    if "head.bias" in tensors and tensors["head.bias"].ndim == 2:
+        league, index = League.load(path), -1 if generation is None else generation
+        return league.player(index), {**facts, "generation": index % len(league)}
+    if generation is not None:
+        raise ValueError(f"generation = {generation} must be null: {path} has one model")
+    return load_model(path)
 
 
 def check_weights(policy: GaussianPolicy, weights: Mapping[str, Tensor], stacked: bool = False) -> None:

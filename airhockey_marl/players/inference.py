@@ -14,6 +14,7 @@ import torch
 from numba import float32, njit
 from torch import Tensor
 
+from airhockey_marl.envs.world import FLOATS
 from airhockey_marl.experiment.parallel import parallel_for
 from airhockey_marl.experiment.validation import check_rows, kind_of
 from airhockey_marl.players.networks import PADDLE, GaussianPolicy
@@ -103,9 +104,9 @@ def _stack_weights(policy: GaussianPolicy, weights: Mapping[str, Tensor] | None)
 
 def _check_batch(observation: np.ndarray, model_index: np.ndarray | None, models: int) -> None:
     """Guard the compiled code, which would access foreign memory; cheap, as it runs in every tick."""
-    floats = isinstance(observation, np.ndarray) and observation.dtype.kind == "f"
+    floats = isinstance(observation, np.ndarray) and observation.dtype in FLOATS
     if not floats or observation.ndim != 2 or observation.shape[1] != 12:
-        raise ValueError(f"observation: {kind_of(observation)}, must be an array of floats of shape (n, 12)")
+        raise ValueError(f"observation: {kind_of(observation)}, must be numpy float32 or float64 of shape (n, 12)")
     if model_index is not None:
         check_rows("model_index", model_index, models)
         if len(model_index) != len(observation):

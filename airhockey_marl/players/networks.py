@@ -7,6 +7,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from airhockey_marl.experiment.validation import as_tensor
+
 OPTIMAL_ACTION_HIDDEN = (64, 64)  # section 3.2.1, from the paper's grid search
 USER_PREDICTION_HIDDEN = (80, 80, 80, 80)
 
@@ -84,7 +86,8 @@ class GaussianPolicy(nn.Module):
 
     def forward(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (..., 12) to mean (..., 2), unbounded, and STD (..., 2), in (0, 1), of the action."""
-        mean, std_logit = self.head(self.layers(self.inputs(observation))).chunk(2, dim=-1)
+        inputs = self.inputs(as_tensor("observation", observation, 12, self.head.weight.dtype))
+        mean, std_logit = self.head(self.layers(inputs)).chunk(2, dim=-1)
         return mean, torch.sigmoid(std_logit)
 
     def forward_stacked(self, weights: Mapping[str, Tensor], observation: Tensor) -> tuple[Tensor, Tensor]:
@@ -101,7 +104,7 @@ class GaussianPolicy(nn.Module):
         def linear(name: str, inputs: Tensor) -> Tensor:
             return torch.baddbmm(weights[f"{name}.bias"].unsqueeze(1), inputs, weights[f"{name}.weight"].mT)
 
-        hidden = self.inputs(observation)
+        hidden = self.inputs(as_tensor("observation", observation, 12, weights["head.bias"].dtype))
         for index, layer in enumerate(self.layers):
             hidden = linear(f"layers.{index}", hidden) if isinstance(layer, nn.Linear) else layer(hidden)
         mean, std_logit = linear("head", hidden).chunk(2, dim=-1)

@@ -24,6 +24,7 @@ from torch import Tensor
 from airhockey_marl.envs.physics import TableSpec, clamp
 from airhockey_marl.envs.puck_path import aim_offset, line_crossing, puck_at, seconds_to_goal_or_post
 from airhockey_marl.experiment.registry import Registry
+from airhockey_marl.experiment.validation import as_tensor
 
 UNTRAINED_STD = 0.5  # of `random`: sigmoid(0), the initial STD of `networks.GaussianPolicy`
 TREMOR_STD = 0.02  # of the others: a hand's tremor of 1 cm
@@ -211,6 +212,7 @@ class ScriptedPlayer:
 
     def __call__(self, observation: Tensor) -> tuple[Tensor, Tensor]:
         """Map observations (..., 12) to the mean (..., 2), in [-1, 1], and the STD (..., 2) of the action."""
+        observation = as_tensor("observation", observation, 12)
         rows = observation.detach().reshape(-1, 12).numpy().astype(np.float64)
         actions = np.empty((len(rows), 2))
         self.script(rows, actions, self.table)

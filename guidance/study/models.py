@@ -9,9 +9,10 @@ from tensordict import TensorDict
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.files import load_tensors, save_tensors, sha256
-from airhockey_marl.experiment.validation import check_numbers
-from airhockey_marl.league.league import League, check_weights
+from airhockey_marl.experiment.files import save_tensors, sha256
+from airhockey_marl.experiment.validation import as_tensor, check_numbers
+from airhockey_marl.league.league import League
+from airhockey_marl.league.league import load_model as load_user_model
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.forces.conditions import OPTIMAL
 from guidance.forces.equations import lookahead_state
@@ -23,22 +24,6 @@ from guidance.user_model.training import adapt_to_user
 def save_user_model(path: Path | str, model: GaussianPolicy, facts: dict) -> None:
     """Write a user prediction model with its metadata `facts` (any JSON)."""
     save_tensors(path, model.state_dict(), {**facts, **model.architecture})
-
-
-def load_user_model(path: Path | str) -> tuple[GaussianPolicy, dict]:
-    """Read a user prediction model and its metadata.
-
-    Raises:
-        ValueError: the file is missing or broken, or its tensors do not fit the architecture it states.
-    """
-    tensors, facts = load_tensors(path)
-    try:
-        model = GaussianPolicy.from_architecture(facts)
-        check_weights(model, tensors)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
-    model.load_state_dict(tensors)
-    return model.requires_grad_(False), facts
 
 
 @dataclass(frozen=True)
@@ -95,14 +80,19 @@ class Models:
         """User adaptation (UA, Eq. 1): `meta` after one step on each user's own game.
 
         Args:
-            demonstrations: per user the observations (ticks, 12) and actions (ticks, 2) of a game of any length.
+            demonstrations: per user the observations (ticks, 12) and actions (ticks, 2) of a game of any length, as
+                tensors, arrays or tables of finite numbers.
 
         Returns:
             The adapted parameters, batch size (users,).
         """
-        theta, table = parameters(self.meta), TableSpec()
-        demonstrations = [(x[None], action_ahead(x, y, self.ahead, table)[None]) for x, y in demonstrations]
-        return torch.cat([adapt_to_user(self.meta, theta, x, y, self.inner_lr) for x, y in demonstrations])
+        theta, table, adapted = parameters(self.meta), TableSpec(), []
+        for user, (observation, action) in enumerate(demonstrations):
+            x = as_tensor(f"demonstrations[{user}]: observation", observation, 12, finite=True)
+            y = as_tensor(f"demonstrations[{user}]: action", action, 2, finite=True)
+            then = action_ahead(x, y, self.ahead, table)
+            adapted.append(adapt_to_user(self.meta, theta, x[None], then[None], self.inner_lr))
+        return torch.cat(adapted)
 
     def lookahead_state(self, model: str, state: Tensor, seconds: float) -> Tensor:
         """The looked-ahead state of Eq. 4 for one of the models, less the model's own prediction horizon."""

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.experiment.validation import as_tensor
 from guidance.simulated_users.arm import HAND_REACH
 
 MIN_DEMONSTRATION_TICKS = 500  # 10 s; half a minute of play adapts as well as eight minutes
@@ -21,7 +22,7 @@ Samples = tuple[Tensor, Tensor]
 class Demonstrations:
     """D^U: observations and actions of users in games without guidance.
 
-    All users have the same number of games, all games the same number of contiguous ticks.
+    All users have the same number of games, all games the same number of contiguous ticks. Arrays are converted.
 
     Attributes:
         observation: (users, games, ticks, 12), finite.
@@ -36,12 +37,11 @@ class Demonstrations:
 
     def __post_init__(self) -> None:
         for name, size in (("observation", 12), ("action", 2)):
-            tensor = getattr(self, name)
-            shape = tuple(tensor.shape)
-            if tensor.ndim != 4 or tensor.shape[-1] != size or not tensor.numel():
+            tensor = as_tensor(name, getattr(self, name), size, finite=True)
+            if tensor.ndim != 4 or not tensor.numel():
+                shape = tuple(tensor.shape)
                 raise ValueError(f"{name}: shape {shape}, must be (users, games, ticks, {size}) and not empty")
-            if not tensor.isfinite().all():
-                raise ValueError(f"{name}: {int((~tensor.isfinite()).sum())} values are not finite, all must be")
+            object.__setattr__(self, name, tensor)
         if self.action.shape[:3] != self.observation.shape[:3] or self.action.dtype != self.observation.dtype:
             raise ValueError(
                 f"action: shape {tuple(self.action.shape)} and dtype {self.action.dtype}, must match observation: "
@@ -51,9 +51,9 @@ class Demonstrations:
     def __len__(self) -> int:
         return len(self.action)
 
-    def to(self, device: str) -> "Demonstrations":
-        """A copy on another device."""
-        return Demonstrations(self.observation.to(device), self.action.to(device))
+    def to(self, target: str | torch.dtype) -> "Demonstrations":
+        """The same on another device, or of another dtype."""
+        return Demonstrations(self.observation.to(target), self.action.to(target))
 
     def batches(self, size: int, generator: torch.Generator | None = None) -> Iterator[Samples]:
         """All ticks of all users once, shuffled, in batches (size, .); the last may be smaller."""
@@ -96,17 +96,27 @@ class Recordings:
     """D^U of recorded people: as `Demonstrations`, but for games of any number and length.
 
     Attributes:
-        people: label -> pieces of play, each observation (ticks, 12) and action (ticks, 2), contiguous in time.
+        people: label -> pieces of play, each observation (ticks, 12) and action (ticks, 2), contiguous in time and
+            finite. Arrays are converted.
     """
 
     people: Mapping[str, list[Samples]]
 
+    def __post_init__(self) -> None:
+        people = {}
+        for label, own in self.people.items():
+            names = f"{label}: observation", f"{label}: action"
+            people[label] = [
+                (as_tensor(names[0], x, 12, finite=True), as_tensor(names[1], y, 2, finite=True)) for x, y in own
+            ]
+        object.__setattr__(self, "people", people)
+
     def __len__(self) -> int:
         return len(self.people)
 
-    def to(self, device: str) -> "Recordings":
-        """A copy on another device."""
-        return self._map(lambda observation, action: (observation.to(device), action.to(device)))
+    def to(self, target: str | torch.dtype) -> "Recordings":
+        """The same on another device, or of another dtype."""
+        return self._map(lambda observation, action: (observation.to(target), action.to(target)))
 
     def ahead(self, seconds: float, table: TableSpec) -> "Recordings":
         """The same play with the action `seconds` after each tick, see `action_ahead`."""
@@ -188,7 +198,7 @@ def _endless_pairs(
 def round_starts(observation: Tensor, table: TableSpec) -> Tensor:
     """Boolean mask (...) of the observations (..., 12) that start a round: everything at rest at its start position."""
     rest = [-table.length / 4, 0.0, 0.0, 0.0, table.length / 4, 0.0, 0.0, 0.0, 0.0]  # both paddles, and the puck's x
-    return (observation[..., :9] == torch.tensor(rest, dtype=observation.dtype)).all(dim=-1)
+    return (as_tensor("observation", observation, 12)[..., :9].float() == torch.tensor(rest)).all(dim=-1)
 
 
 def hand_speed(observation: Tensor, action: Tensor, table: TableSpec) -> Tensor:
@@ -205,8 +215,8 @@ def action_ahead(observation: Tensor, action: Tensor, seconds: float, table: Tab
         observation: (..., ticks, 12), contiguous in time; marks where rounds start.
         action: (..., ticks, 2).
     """
-    ticks = observation.shape[-2]
-    starts = round_starts(observation, table)
+    starts, action = round_starts(observation, table), as_tensor("action", action, 2)
+    ticks = starts.shape[-1]
     tick = torch.arange(ticks)
     last = torch.where(starts, tick - 1, ticks - 1).roll(-1, dims=-1)  # the last tick of a round, where one ends
     last[..., -1] = ticks - 1

@@ -15,6 +15,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 
 from airhockey_marl.envs.physics import TableSpec, action_range
+from airhockey_marl.experiment.validation import as_tensor
 from guidance.forces.equations import lookahead_state
 from guidance.user_model.data import Samples, action_ahead, round_starts
 from guidance.user_model.maml import forward, parameters
@@ -102,6 +103,7 @@ def predictors(
         observation, action: the game.
         ahead: s, the horizon of both models.
     """
+    observation, action = as_tensor("observation", observation, 12), as_tensor("action", action, 2)
     target = action_ahead(observation, action, ahead, table)
     adapted = adapt_to_user(meta, parameters(meta), observation[None], target[None], lr)[0]
     return {
@@ -122,6 +124,7 @@ def prediction_metrics(
         rmse; nll, nats of a two-dimensional Gaussian; loss, Eq. 3; within_1 and within_2, shares of the actions within
         one and two STDs.
     """
+    observation, action = as_tensor("observation", observation, 12), as_tensor("action", action, 2)
     now, then = ticks_ahead(observation, seconds, table)
     mean, std = predictor(observation[now], seconds)
     error = action[then] - mean

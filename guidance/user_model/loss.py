@@ -2,6 +2,8 @@
 
 from torch import Tensor
 
+from airhockey_marl.experiment.validation import as_tensor
+
 
 def prediction_loss(mean: Tensor, std: Tensor, action: Tensor) -> Tensor:
     """Eq. 3 as printed: mean of ||y - y_hat||^2 / (2 ||sigma||^2) + ln(||sigma||^2) / 2 over the samples.
@@ -16,5 +18,5 @@ def prediction_loss(mean: Tensor, std: Tensor, action: Tensor) -> Tensor:
         action: y, the action taken, (..., 2).
     """
     variance = std.square().sum(dim=-1)  # ||sigma||^2, (...)
-    squared_error = (action - mean).square().sum(dim=-1)  # (...)
+    squared_error = (as_tensor("action", action, 2, mean.dtype) - mean).square().sum(dim=-1)  # (...)
     return (squared_error / (2 * variance) + variance.log() / 2).mean()

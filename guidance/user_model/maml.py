@@ -31,6 +31,9 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.func import functional_call, grad
+from torch.utils._pytree import tree_leaves
+
+from airhockey_marl.experiment.validation import kind_of
 
 Loss = Callable[[TensorDict], Tensor]
 """L(theta): parameters to a scalar."""
@@ -69,6 +72,7 @@ def forward_stacked(model: nn.Module, params: TensorDict, *inputs: Tensor) -> An
     Returns:
         What the model returns, with the leading dimension users: (users, n, ...).
     """
+    _require_tensors(inputs=inputs)
     return torch.vmap(partial(forward, model))(params, *inputs)
 
 
@@ -113,6 +117,7 @@ def adapt_stacked(
     Returns:
         The adapted parameters stacked, batch size (users,).
     """
+    _require_tensors(demo=demo)
 
     def adapt_one(data: Any) -> TensorDict:
         return adapt(params, lambda theta: loss(theta, data), lr, steps, first_order)
@@ -132,6 +137,7 @@ def meta_loss(
         valid: D_valid of the same users in the same order, tensors (users, ...).
         lr, steps, first_order: see :func:`adapt`.
     """
+    _require_tensors(valid=valid)
     return torch.vmap(loss)(adapt_stacked(params, loss, demo, lr, steps, first_order), valid).sum()
 
 
@@ -188,6 +194,13 @@ def _descend(params: TensorDict, gradient: TensorDict, lr: float, first_order: b
         gradient = gradient.detach()
     # Leaf by leaf: arithmetic on whole TensorDicts does not pass through vmap.
     return params.apply(lambda p, g: p - lr * g, gradient)
+
+
+def _require_tensors(**trees: Any) -> None:
+    for name, tree in trees.items():
+        for leaf in tree_leaves(tree):
+            if not isinstance(leaf, Tensor):
+                raise ValueError(f"{name}: {kind_of(leaf)}, must be tensors, such as torch.as_tensor makes")
 
 
 def _require_rate(lr: float) -> None:

@@ -19,6 +19,7 @@ from tensordict import TensorDict
 from torch import Tensor, nn
 from torch.func import grad_and_value
 
+from airhockey_marl.experiment.validation import as_tensor
 from guidance.user_model.data import Demonstrations, Recordings, Samples
 from guidance.user_model.loss import prediction_loss
 from guidance.user_model.maml import adapt_stacked, forward, meta_loss, parameters
@@ -52,6 +53,7 @@ def train_supervised(
         FloatingPointError: the loss or its gradient is no longer finite.
     """
     optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
+    data = data.to(next(model.parameters()).dtype)
     for epoch in range(done + 1, epochs + 1):
         total, ticks = 0.0, 0
         for observation, action in data.batches(batch_size, generator):
@@ -110,6 +112,7 @@ def train_maml(
     """
     optimizer = optimizer or torch.optim.Adam(model.parameters(), lr)
     params, objective, users = parameters(model), partial(_data_loss, model), len(data)
+    data = data.to(next(model.parameters()).dtype)
 
     def eq2(theta: TensorDict, demo: Samples, valid: Samples) -> Tensor:
         return meta_loss(theta, objective, demo, valid, inner_lr, steps, first_order)
@@ -144,8 +147,8 @@ def adapt_to_user(
     Args:
         model: state (..., 12) to mean and STD; not changed.
         params: theta, the meta-trained parameters, usually ``parameters(model)``; not changed.
-        observation: states of D_demo, (users, ticks, 12).
-        action: actions of D_demo, (users, ticks, 2).
+        observation: states of D_demo, (users, ticks, 12), a tensor or array of finite numbers.
+        action: actions of D_demo, (users, ticks, 2), likewise.
         lr: alpha, the inner learning rate ``params`` were trained for.
         steps: gradient steps, likewise; one in the paper.
 
@@ -153,7 +156,9 @@ def adapt_to_user(
         Each user's parameters, batch size (users,), without a graph; for :func:`maml.forward_stacked`, or
         ``adapted[i]`` for one user.
     """
-    return adapt_stacked(params, partial(_data_loss, model), (observation, action), lr, steps)
+    dtype = next(iter(params.values(True, True))).dtype
+    samples = as_tensor("observation", observation, 12, dtype, True), as_tensor("action", action, 2, dtype, True)
+    return adapt_stacked(params, partial(_data_loss, model), samples, lr, steps)
 
 
 def _data_loss(model: nn.Module, params: TensorDict, data: Samples) -> Tensor:

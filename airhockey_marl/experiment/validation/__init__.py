@@ -11,6 +11,39 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     import numpy as np
+    import torch
+
+
+def as_tensor(
+    name: str, values: Any, size: int, dtype: torch.dtype | None = None, finite: bool = False
+) -> torch.Tensor:
+    """Numbers (..., size) of a tensor, an array, a table of pandas or lists as a tensor of `dtype`.
+
+    `dtype` None keeps a floating point one and makes integers the default one. Gradients and vmap pass through.
+
+    Raises:
+        ValueError: they are not numbers of this shape, or with `finite` one is not finite; it names the argument.
+    """
+    import torch
+
+    if not isinstance(values, torch.Tensor):
+        import numpy as np
+
+        try:
+            array = np.asarray(values)
+        except ValueError:  # lists of different lengths
+            array = np.empty(0, dtype=str)
+        if array.dtype == object and all(isinstance(value, Real) for value in array.flat):  # pandas' nullable numbers
+            array = array.astype(np.float64)
+        if array.dtype.kind not in "iuf":
+            raise ValueError(f"{name}: {kind_of(values)}, must be numbers of shape (..., {size})")
+        wide = np.float32 if array.dtype == np.float32 else np.float64  # torch has neither long doubles nor byte orders
+        values = torch.from_numpy(array.astype(wide))
+    if values.shape[-1:] != (size,):
+        raise ValueError(f"{name}: {kind_of(values)}, must be numbers of shape (..., {size})")
+    if finite and not values.isfinite().all():
+        raise ValueError(f"{name}: {int((~values.isfinite()).sum())} values are not finite, all must be")
+    return values.to(dtype or (values.dtype if values.is_floating_point() else torch.get_default_dtype()))
 
 
 def check_rows(name: str, rows: np.ndarray, n: int) -> None:
