@@ -13,7 +13,6 @@ from airhockey_marl.league.opponent_sampling import DeltaUniform
 from airhockey_marl.players.inference import PerRowInference
 from airhockey_marl.players.networks import Critic, GaussianPolicy
 from guidance.simulated_users import SimulatedUsers, personal_streams, sample_people
-from guidance.study.metrics import RunningMoments
 
 GAME = AirHockey()
 GAME.reset(seed=0)
@@ -64,8 +63,7 @@ TABLE = [
         lambda: PerRowInference(POLICY)(np.zeros((5, 12)), np.arange(5)),
         r"model_index: from 0 to 4, must be from 0 to 0",
     ),
-    # people and measures
-    (lambda: RunningMoments(2).add(np.array([2]), np.ones(1)), r"games: from 2 to 2, must be from 0 to 1"),
+    # people
     (lambda: PEOPLE.step(np.zeros((2, 12)), np.zeros((2, 2)), ROWS + 1), r"rows: from 1 to 2, must be from 0 to 1"),
 ]
 
