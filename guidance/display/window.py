@@ -39,6 +39,19 @@ def named_display_errors() -> Iterator[None]:
         raise InputError(f"window: it cannot be opened{driver}: {error}") from error
 
 
+@contextmanager
+def silent_libraries() -> Iterator[None]:
+    """Within the block nothing reaches the process's standard error: libraries of displays write to it themselves."""
+    stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(nowhere)
+
+
 class Window:
     """A `guidance.haptics.screen.Screen`, and an `ExperimenterUI` of a session.
 
@@ -76,7 +89,8 @@ class Window:
     ) -> None:
         self.texts = texts or english()
         with named_display_errors():
-            pygame.display.init()
+            with silent_libraries():
+                pygame.display.init()
             self._require_screen()
             pygame.joystick.init()
             pygame.display.set_caption(title)

@@ -1,5 +1,6 @@
 """The window on a virtual screen: its pixels and its keys."""
 
+import os
 from functools import cache
 from math import atan2, hypot
 
@@ -384,6 +385,15 @@ def test_without_a_display_there_is_no_window(monkeypatch, driver):
     monkeypatch.setattr("pygame.display.get_driver", lambda: driver)
     with pytest.raises(InputError, match=r"^window: there is no display here"):
         Window("test", TableSpec(), MIN_WIDTH, 60, SimulatedClock(), {})
+
+
+def test_what_a_library_complains_of_is_not_shown(monkeypatch, capfd):
+    monkeypatch.setattr("pygame.display.init", lambda: os.write(2, b"error: XDG_RUNTIME_DIR is not set"))
+    monkeypatch.setattr("pygame.display.get_driver", lambda: "offscreen")
+    monkeypatch.delenv("SDL_VIDEODRIVER")
+    with pytest.raises(InputError):
+        Window("test", TableSpec(), MIN_WIDTH, 60, SimulatedClock(), {})
+    assert capfd.readouterr().err == ""
 
 
 @pytest.mark.parametrize("driver", ["x11", "nonsense"])
