@@ -210,7 +210,7 @@ def run(module: str, argv: Sequence[str] | None = None) -> None:
                 raise InputError(complaint)
             if RAY in {argument.lstrip("+") for argument in arguments}:
                 sys.path.append(str(LAUNCHERS))  # Hydra looks for plugins below folders `hydra_plugins`, nowhere else
-            overrides = check_overrides(command.conf, command.name, overrides)
+            overrides = check_overrides(command.conf, command.name, overrides, options.multirun)
         # Hydra takes overrides in one block only
         arguments = [argument for argument in arguments if argument not in options.overrides] + overrides
     except InputError as error:

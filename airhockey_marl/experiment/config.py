@@ -14,10 +14,12 @@ from typing import Any
 
 import yaml
 from hydra import compose, initialize_config_dir
+from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.core.override_parser.types import ChoiceSweep, Glob, IntervalSweep, Override, QuotedString, RangeSweep
+from hydra.core.override_parser.types import ChoiceSweep, Glob, IntervalSweep, Override, Quote, QuotedString, RangeSweep
 from hydra.errors import HydraException
+from hydra.plugins.config_source import ConfigSource
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 from yaml import AliasEvent, CollectionEndEvent, CollectionStartEvent, Event, YAMLError
@@ -30,6 +32,7 @@ MAX_DEPTH = 64  # of lists and tables in each other; ours have 6. The time to pa
 ROOT = Path(__file__).resolve().parents[2]
 _INSTALLED = Path(__file__).resolve().parents[1] / "conf"  # in a source tree a link to ROOT / "conf"
 CONF = _INSTALLED.resolve() if _INSTALLED.is_dir() else ROOT / "conf"
+ELEMENT = r"""(?:(?<=[\[,])|^)[^\[\],{}'"\\$]+(?=[\],]|$)"""  # of a list or a sweep, unless it is quoted
 CHANGEABLE = ("compute", "threads", "collector", "pictures_every", "ray")  # when a run is resumed
 COMMAND_GROUPS = ("preset", "sweep")  # with a folder for each command, conf/preset/<command>/
 # keys of names and paths for which the yaml has no text: nothing, or an empty list
@@ -77,12 +80,14 @@ def also_search(conf: Path) -> list[str]:
     return [] if conf == CONF else [f"hydra.searchpath=['{CONF}']"]
 
 
-def check_overrides(conf: Path, name: str, arguments: Sequence[str]) -> list[str]:
+def check_overrides(conf: Path, name: str, arguments: Sequence[str], sweeps: bool = False) -> list[str]:
     """Compare what is typed for conf/<name>.yaml with what it has: groups, their options, keys and types of values.
 
+    Args:
+        sweeps: whether a comma separates the values of a sweep; in a text it is a comma otherwise.
+
     Returns:
-        The arguments, with the text of names and paths quoted where Hydra would read a number: `participant=1_01` is
-        not 101.
+        The arguments, with texts quoted where Hydra would read something else: `participant=1_01` is not 101.
     """
     overrides = [_parse(argument) for argument in arguments]
     with initialize_config_dir(str(conf), version_base="1.3"):
@@ -96,25 +101,31 @@ def check_overrides(conf: Path, name: str, arguments: Sequence[str]) -> list[str
                 continue
             choices = _choices(override, group, options)
             if choices:
-                chosen.append(f"{override.input_line.partition('=')[0]}={choices[0]}")
+                choice = _quoted(choices[0]) if _is_file(choices[0]) else choices[0]
+                chosen.append(f"{override.input_line.partition('=')[0]}={choice}")
         try:
             cfg = compose(name, overrides=[*chosen, *also_search(conf)], return_hydra_config=True)
         except (HydraException, OmegaConfBaseException) as error:
             raise InputError(describe(error)) from error
     tree = OmegaConf.to_container(cfg)
-    typed = {override.input_line: _quote_text(override, cfg) for override in keys}
+    typed = {override.input_line: _quote_text(override, cfg, sweeps) for override in keys}
     for override in typed.values():
         _check_key(override, tree, [*own])
     set_keys = {override.key_or_group for override in keys}
     for key, value in flatten_settings({key: value for key, value in tree.items() if key != "hydra"}).items():
         if value == "???" and not any(key == one or key.startswith(f"{one}.") for one in set_keys):
             raise InputError(f"{key} must be chosen: {key}=...")
-    return [typed[argument].input_line if argument in typed else argument for argument in arguments]
+    return [typed.get(override.input_line, override).input_line for override in overrides]
 
 
 def _parse(argument: str) -> Override:
+    """Parse an override; a value that Hydra cannot read is the text that it is, unless a bracket or quote is open."""
+    parser = OverridesParser.create()
     try:
-        override = OverridesParser.create().parse_override(argument)
+        try:
+            override = parser.parse_override(argument)
+        except HydraException:
+            override = parser.parse_override(_as_text(argument))
     except HydraException as error:
         form = "key=value, with its brackets closed and special characters quoted: 'key=\"a b\"'"
         raise InputError(f"{argument} must be {form}") from error
@@ -123,10 +134,28 @@ def _parse(argument: str) -> Override:
     return override
 
 
-def _quote_text(override: Override, cfg: DictConfig) -> Override:
+def _quoted(text: str) -> str:
+    return QuotedString(text, Quote.single).with_quotes()
+
+
+def _as_text(argument: str) -> str:
+    """An argument with its value quoted, or the elements of its list."""
+    start, _, value = argument.partition("=")
+    value = value.strip()
+    if value.startswith("["):
+        return f"{start}={re.sub(ELEMENT, lambda match: _quoted(match[0].strip()), value)}"
+    is_open = value[:1] in ("'", '"') and value.count(value[0]) % 2
+    return argument if is_open or not value else f"{start}={_quoted(value)}"
+
+
+def _quote_text(override: Override, cfg: DictConfig, sweeps: bool) -> Override:
     """The override with the elements of its value quoted that Hydra takes for something else than the text they are."""
     start, equals, value = override.input_line.partition("=")
-    if not equals or not _holds_text(override.key_or_group, cfg) or "(" in value:
+    if not equals or not _holds_text(override.key_or_group, cfg):
+        return override
+    if not sweeps and isinstance(override.value(), ChoiceSweep) and override.value().simple_form:
+        return _parse(_as_text(override.input_line))
+    if "(" in value:
         return override
     may_be_null = not OmegaConf.is_missing(cfg, override.key_or_group)
 
@@ -135,9 +164,7 @@ def _quote_text(override: Override, cfg: DictConfig) -> Override:
         read = _parse(f"x={text}").value() if text else ""
         return f"'{text}'" if isinstance(read, int | float) or (read is None and not may_be_null) else match[0]
 
-    # an element of a list or of a sweep, unless it is quoted
-    value = re.sub(r"""(?:(?<=[\[,])|^)[^\[\],{}'"\\$]+(?=[\],]|$)""", quote, value)
-    return _parse(f"{start}={value}")
+    return _parse(f"{start}={re.sub(ELEMENT, quote, value)}")
 
 
 def _holds_text(key: str, cfg: DictConfig) -> bool:
@@ -176,9 +203,29 @@ def _choices(override: Override, group: str, options: list[str]) -> list[str]:
         raise InputError(f"{override.input_line}: {group} cannot be left out, {allowed}")
     choices = _elements(override)
     for choice in choices:
-        if choice not in options:
+        if _is_file(choice):
+            _offer_file(group, Path(choice))
+        elif choice not in options:
             raise InputError(f"{group} = {_shown(choice)} {allowed}")
     return choices
+
+
+def _is_file(choice: Any) -> bool:
+    """Whether a choice of a group is a file of the user's, by its name."""
+    return isinstance(choice, str) and choice.endswith(".yaml")
+
+
+def _offer_file(group: str, file: Path) -> None:
+    """Make a yaml file a choice of a group, by its path as it was typed."""
+    if not file.is_file():
+        raise InputError(f"{group} = {file}: there is no such file")
+    try:
+        content = read_config(file)
+    except ValueError as error:
+        raise InputError(f"{group} = {error}") from error
+    package = ConfigSource._get_header_dict(file.read_text(encoding="utf-8-sig")).get("package", group)
+    place = "/".join((group, *(part for part in file.parts[:-1] if part != file.anchor)))
+    ConfigStore.instance().store(file.name, content, group=place, package=package)
 
 
 def _shown(value: Any) -> str:

@@ -1,6 +1,7 @@
 """Run folders: the callback of Hydra that writes run.json, what a card says of its origin, and the lock."""
 
 import os
+import shutil
 import socket
 import sys
 import time
@@ -14,9 +15,11 @@ from filelock import FileLock, Timeout
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.utils import JobReturn, JobStatus
 from hydra.experimental.callback import Callback
+from hydra.types import RunMode
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.experiment.command import report_input_errors
+from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import name_write_errors, remove_temporary_files, write_text
 from airhockey_marl.experiment.run_record import RECORD, RunRecord, listing, process_start, read_run, runs_below
 
@@ -49,8 +52,10 @@ class RunRecorder(Callback):
             _running(RunRecord(Path(config.hydra.runtime.output_dir), config.hydra.job.config_name), config).write()
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **_: Any) -> None:
-        """Write how it ended, into the folder of the run that it resumed, too."""
+        """Write how it ended, into the folder of the run that it resumed, too; a run that was refused leaves none."""
         failed = job_return.status == JobStatus.FAILED
+        if failed and isinstance(job_return._return_value, InputError) and config.hydra.mode != RunMode.MULTIRUN:
+            _remove_unused(Path(config.hydra.runtime.output_dir))
         error = " ".join(str(job_return._return_value).split()) if failed else ""
         for folder in {
             Path(config.hydra.runtime.output_dir),
@@ -129,6 +134,15 @@ def files_at_risk(folder: Path) -> str | None:
     names = [path.name for path in folder.iterdir() if not path.name.startswith(".") and path.suffix != ".log"]
     names = sorted({*names} - {RECORD})
     return f"a run that has left {', '.join(names[:3])}" if names else None
+
+
+def _remove_unused(folder: Path) -> None:
+    """Remove the folder of a run that has written nothing, and those of its day if there are no others in them."""
+    if {path.name for path in folder.iterdir() if path.suffix != ".log"} <= {".hydra", RECORD}:
+        shutil.rmtree(folder, ignore_errors=True)
+        for parent in folder.parents[:2]:
+            with suppress(OSError):
+                parent.rmdir()
 
 
 def _require_free(folder: Path, key: str) -> None:

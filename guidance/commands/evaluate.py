@@ -36,7 +36,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.statistics.groups import UNTESTED
     from guidance.statistics.report import screen_table, write_report
     from guidance.statistics.tensorboard import Histograms, log_study
-    from guidance.study.protocol import is_balanced, williams_design
+    from guidance.study.protocol import balance_note
     from guidance.study.setup import file_hashes, load_setup, manifest
     from guidance.study.study import run_study
 
@@ -47,9 +47,9 @@ def main(cfg: DictConfig) -> None:
         for name in cfg.users.withdrawn:
             if name not in RATINGS:
                 raise ValueError(f"users.withdrawn: {name!r} must be one of {', '.join(RATINGS)}")
-    if not is_balanced(cfg.participants, len(PAPER_LETTERS)):
-        rows = len(williams_design(len(PAPER_LETTERS)))
-        print(f"note: the order of nine conditions is balanced over multiples of {rows} people", file=sys.stderr)
+    paper = sum(condition.letter in PAPER_LETTERS for condition in setup.conditions)
+    if note := balance_note(cfg.participants, paper, len(setup.conditions) - paper):
+        print(f"note: {note}", file=sys.stderr)
     progress, histograms = ProgressBar(), Histograms(setup.conditions, len(people), cfg.guidance.spring.limit)
     trials, counts = run_study(people, setup, seed=cfg.seed, progress=progress, on_forces=histograms.add)
     progress.close()

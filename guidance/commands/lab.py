@@ -15,10 +15,13 @@ from __future__ import annotations
 
 import hashlib
 import json
+import sys
+from collections.abc import Iterable
 from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from hydra.core.hydra_config import HydraConfig
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.experiment.command import report_input_errors, require_counts, require_numbers
@@ -32,15 +35,18 @@ if TYPE_CHECKING:
     from guidance.sessions.session import SessionPlan
     from guidance.study.models import Models
 
-KEYS = {
-    "space": "pause",
-    "h": "these keys",
-    "f": "full screen",
-    "r": "after a safety stop: feel forces again",
-    "esc": "leave; what is finished is kept, and the session goes on from there another time",
-}
+KEYS = ("space", "h", "f", "r", "escape")  # of the window
 NEW = "new"
-OF_A_SESSION = ("participant", "withdraw", "records", "window", "fullscreen", "width", "lsl")  # and not of the study
+OF_A_SESSION = (
+    "participant",
+    "withdraw",
+    "records",
+    "window",
+    "fullscreen",
+    "width",
+    "font",
+    "lsl",
+)  # not of the study
 
 
 def check(cfg: DictConfig) -> None:
@@ -58,6 +64,7 @@ def facts_of(cfg: DictConfig, models: Models, plan: SessionPlan) -> dict:
     people = "simulated" if cfg.device.kind == "simulated" else "people"
     content = [facts["study_hash"], OmegaConf.to_container(cfg.device), OmegaConf.to_container(cfg.safety), people]
     content += [dict(plan.questions), list(plan.scale), cfg.breath, plan.consent, list(map(repr, plan.conditions))]
+    content += [dict(plan.texts)]
     digest = hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
     # without the participant of this session, who may withdraw
     config = {key: value for key, value in facts["config"].items() if key not in OF_A_SESSION}
@@ -66,15 +73,16 @@ def facts_of(cfg: DictConfig, models: Models, plan: SessionPlan) -> dict:
 
 def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
     """What the configuration has everybody do."""
+    from guidance.haptics.texts import check_texts, flatten_texts, read_consent
     from guidance.sessions.session import SessionPlan
     from guidance.study.protocol import Protocol
     from guidance.study.setup import load_conditions, load_opponent
 
-    consent = Path(cfg.consent)
-    if not consent.is_file():
-        raise ValueError(f"consent = {consent} must be a file with a text")
+    conditions = load_conditions(cfg)
+    texts = flatten_texts(OmegaConf.to_container(cfg, resolve=True))
+    check_texts(texts, place_of)
     return SessionPlan(
-        conditions=load_conditions(cfg),
+        conditions=conditions,
         models=models,
         opponent=load_opponent(cfg),
         opponent_label=f"generation {cfg.opponent}",
@@ -82,12 +90,55 @@ def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
         lookahead_seconds=cfg.guidance.lookahead,
         participants=cfg.participants,
         seed=cfg.seed,
-        consent=consent.read_text(encoding="utf-8"),
+        consent=read_consent(Path(cfg.consent), len(conditions)),
         questions=OmegaConf.to_container(cfg.questions),
         scale=tuple(cfg.scale),
+        texts={key.removeprefix("texts."): text for key, text in texts.items() if key.startswith("texts.")},
         interview=cfg.interview,
         device=cfg.device.kind,
     )
+
+
+def place_of(key: str) -> str:
+    """A key of the texts, after the yaml that it is from unless it was typed."""
+    job = HydraConfig.get()
+    choice = job.runtime.choices["questions"]
+    typed = {argument.partition("=")[0].lstrip("+~") for argument in job.overrides.task} - {"questions"}
+    file = choice if choice.endswith(".yaml") else f"conf/questions/{choice}.yaml"
+    return key if any(f"{key}.".startswith(f"{name}.") for name in typed) else f"{file}: {key}"
+
+
+def font_for(cfg: DictConfig, plan: SessionPlan) -> Path:
+    """A font that can draw everything that is shown.
+
+    Raises:
+        ValueError: there is none; names the characters, the key and the file.
+    """
+    from guidance.display.drawing import choose_font, lacking
+    from guidance.haptics.texts import unshaped
+
+    shown = {f"consent = {cfg.consent}": plan.consent}
+    shown |= {place_of(f"questions.{name}"): text for name, text in plan.questions.items()}
+    shown |= {place_of(f"scale.{number}"): text for number, text in enumerate(plan.scale)}
+    shown |= {place_of(f"texts.{name}"): text for name, text in plan.texts.items()}
+    for place, text in shown.items():
+        if characters := listed(unshaped(text)):
+            raise ValueError(f"{place} has {characters}, which the window cannot join or order as they are read")
+    font = choose_font("".join(shown.values()), cfg.font and Path(cfg.font))
+    for place, text in shown.items():
+        if characters := listed(lacking(text, font)):
+            advice = (
+                "choose another" if cfg.font else "install one, such as Noto Sans CJK, or choose one by font=<file>"
+            )
+            raise ValueError(f"{place} has {characters}, for which there is no font: {advice}")
+    return font
+
+
+def listed(characters: Iterable[str], most: int = 10) -> str:
+    """Up to `most` characters in words, those that cannot be seen by their numbers."""
+    unique = list(dict.fromkeys(characters))
+    names = [character if character.isprintable() else f"U+{ord(character):04X}" for character in unique[:most]]
+    return " ".join(names + ["..."] * (len(unique) > most))
 
 
 def main(cfg: DictConfig) -> None:
@@ -102,6 +153,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.sessions.session import Session
     from guidance.sessions.simulated_participant import SimulatedParticipant
     from guidance.simulated_users import load_population, sample_people
+    from guidance.study.protocol import balance_note
     from guidance.study.setup import load_models
 
     with report_input_errors():
@@ -116,6 +168,7 @@ def main(cfg: DictConfig) -> None:
         plan, limits = plan_of(cfg, models), construct(SafetyLimits, cfg.safety, "safety")
         people = sample_people(cfg.participants, cfg.seed, population)
         facts = facts_of(cfg, models, plan)
+        font = font_for(cfg, plan) if cfg.window else None
         streams = LabStreams() if cfg.lsl else None
     clock = WallClock() if cfg.window else SimulatedClock()
     participant = None
@@ -123,24 +176,28 @@ def main(cfg: DictConfig) -> None:
         room.enter_context(quit_on_signals())  # until the records are closed
         window = open_device = simulated = None
         if cfg.window:
-            screen = Window("Air hockey", TableSpec(), cfg.width, cfg.frames_per_second, clock, KEYS, shows_force=False)
-            window = room.enter_context(screen)
+            title, rate = plan.texts["window.title"], cfg.frames_per_second
+            keys = {key: plan.texts[f"keys.{key}"] for key in KEYS}
+            look = {"shows_force": False, "texts": plan.texts, "font_file": font, "fullscreen": cfg.fullscreen}
+            window = room.enter_context(Window(title, TableSpec(), cfg.width, rate, clock, keys, **look))
         if cfg.device.kind != "simulated":  # nobody is enrolled, and no study begun, before there is something to hold
             open_device = room.enter_context(device_session(device, limits))
         with report_input_errors():
             records = room.enter_context(Records(cfg.records, facts))
+        is_first, note = not records.places, balance_note(cfg.participants, len(plan.conditions))
         participant = enrolled(records, cfg)
+        if is_first and note:
+            print(f"note: {note}", file=sys.stderr)
         room.callback(dismiss, records, participant)
         if open_device is None:
             simulated = SimulatedParticipant(people, participant.place, cfg.seed, cfg.users)
             open_device = room.enter_context(device_session(device, limits, simulated.users))
+        breath = cfg.breath if cfg.window else 0.0
         seat = RealTimePlayer(
-            open_device.hand, window or NullDisplay(), clock, TableSpec().tick, cfg.breath if cfg.window else 0.0
+            open_device.hand, window or NullDisplay(), clock, TableSpec().tick, breath, texts=plan.texts
         )
         if window is not None:
             window.on_pointer, window.on_disconnect = open_device.on_pointer, open_device.on_disconnect
-            if cfg.fullscreen:
-                window.toggle_fullscreen()
         events = {"on_game": lambda game: simulated.begin_game(seat, game)} if simulated else {}
         events |= {"mark": streams.mark, "on_row": streams.tick} if streams else {}
         Session(plan, participant, seat, window or simulated, **events).run()

@@ -1,7 +1,10 @@
 """A pygame window: frames of a game, keys and pages."""
 
-from collections.abc import Callable, Mapping
+import os
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from math import hypot
+from pathlib import Path
 from typing import Self
 
 import numpy as np
@@ -9,18 +12,44 @@ import pygame
 
 from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
 from airhockey_marl.envs.rendering import COLORS
+from airhockey_marl.experiment.config import InputError
 from guidance.display.arena import Arena
-from guidance.display.drawing import clear_caches, render, veil, write, write_weight
+from guidance.display.drawing import clear_caches, font, use_font, write, write_weight
 from guidance.display.pages import Items, Page
-from guidance.display.scene import FORCE, INK, PAPER
+from guidance.display.scene import FORCE, HAND, INK, PAPER
 from guidance.haptics.screen import Clock, DisplayState, Quit
+from guidance.haptics.texts import english
 
-HINT = "h help   space pause   esc leave"
-BAR, FOOT, EDGE = 54, 54, 16  # px
+BAR, NOTE, FOOT, EDGE = 54, 40, 54, 16  # px
 MIN_WIDTH = 800  # px, minimum width at which the longest texts fit
 FADED = (90, 96, 104)
 PRESSES = (pygame.KEYDOWN, pygame.MOUSEBUTTONDOWN, pygame.JOYBUTTONDOWN)
+INVISIBLE = ("dummy", "offscreen", "evdev")  # drivers of SDL, which it falls back to without a display
 IGNORED_KEYS = {pygame.K_LSHIFT, pygame.K_RSHIFT, pygame.K_LCTRL, pygame.K_RCTRL, pygame.K_LALT, pygame.K_RALT}
+
+
+@contextmanager
+def named_display_errors() -> Iterator[None]:
+    """Raise an error of pygame within the block as an InputError of one line."""
+    try:
+        yield
+    except pygame.error as error:
+        asked = os.environ.get("SDL_VIDEODRIVER")
+        driver = f" with SDL_VIDEODRIVER={asked}" if asked else ""
+        raise InputError(f"window: it cannot be opened{driver}: {error}") from error
+
+
+@contextmanager
+def silent_libraries() -> Iterator[None]:
+    """Within the block nothing reaches the process's standard error: libraries of displays write to it themselves."""
+    stderr, nowhere = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    os.dup2(nowhere, 2)
+    try:
+        yield
+    finally:
+        os.dup2(stderr, 2)
+        os.close(stderr)
+        os.close(nowhere)
 
 
 class Window:
@@ -31,12 +60,18 @@ class Window:
         frames_per_second: frames drawn per second.
         keys: key -> meaning, for the help; `o` toggles the overlay only if it is among them.
         shows_force: whether the force and its weights are shown; in an experiment they are only felt.
+        texts: those below `texts` of `conf/questions`, by their dotted names; English by default.
+        font_file: of a font for them; DejaVu Sans by default.
+        fullscreen: whether to fill the screen from the beginning.
 
     Attributes:
         on_pointer: called with the action (2,) under the pointer.
         on_disconnect: called with the number of a gamepad that is disconnected.
         overlay: whether the predictions of the models are shown.
         frame_times: s between frames.
+
+    Raises:
+        InputError: there is no display, or it cannot show a window of this size or fill the screen.
     """
 
     def __init__(
@@ -48,14 +83,25 @@ class Window:
         clock: Clock,
         keys: Mapping[str, str],
         shows_force: bool = True,
+        texts: Mapping[str, str] | None = None,
+        font_file: Path | None = None,
+        fullscreen: bool = False,
     ) -> None:
-        pygame.display.init()
-        pygame.joystick.init()
-        pygame.display.set_caption(title)
-        pygame.display.set_mode((width, width // 2))  # surfaces need a display for their color format
+        self.texts = texts or english()
+        with named_display_errors():
+            with silent_libraries():
+                pygame.display.init()
+            self._require_screen()
+            pygame.joystick.init()
+            pygame.display.set_caption(title)
+            pygame.display.set_mode((width, width // 2))  # surfaces need a display for their color format
+        if font_file is not None:
+            use_font(font_file)
         self.arena = Arena(table, width)
-        self.size = (width, BAR + self.arena.size[1] + FOOT)
-        self.surface = self._open(fullscreen=False)
+        self.size = (width, BAR + self.arena.size[1] + NOTE + FOOT)
+        self._require_room()
+        with named_display_errors():
+            self.surface = self._open(fullscreen)
         self._table_surface = self.surface.subsurface((0, BAR, *self.arena.size))
         self.clock, self.keys, self.shows_force = clock, keys, shows_force
         self.on_pointer: Callable[[np.ndarray], None] = lambda action: None
@@ -65,6 +111,24 @@ class Window:
         self.overlay, self.shows_help, self.frame_times = False, False, []
         self._last_frame, self._pressed, self._quit_requested, self._has_keyboard = None, [], False, True
         self._early: list[str] = []  # pressed before their page was shown
+
+    def _require_screen(self) -> None:
+        """Raise an InputError if nobody could see the window, unless such a driver was asked for."""
+        if pygame.display.get_driver() in INVISIBLE and not os.environ.get("SDL_VIDEODRIVER"):
+            pygame.display.quit()
+            raise InputError("window: there is no display here (SDL_VIDEODRIVER=dummy asks for an invisible window)")
+
+    def _require_room(self) -> None:
+        """Raise an InputError if the window is larger than every screen."""
+        screens = pygame.display.get_desktop_sizes()
+        if pygame.display.get_driver() in INVISIBLE or any(
+            self.size[0] <= wide and self.size[1] <= high for wide, high in screens
+        ):
+            return
+        wide, high = max(screens)
+        pygame.display.quit()
+        size = f"a window of {self.size[0]} by {self.size[1]} pixels does not fit on a screen of {wide} by {high}"
+        raise InputError(f"width = {self.size[0]} must be smaller: {size}")
 
     def _open(self, fullscreen: bool) -> pygame.Surface:
         full = pygame.FULLSCREEN | pygame.SCALED if fullscreen else 0
@@ -99,10 +163,9 @@ class Window:
         self.arena.draw(self._table_surface, display, self.overlay, self.shows_force)
         self._draw_bar(display)
         self._draw_foot(display)
-        if display.note:
-            self._draw_note(display.note)
+        self._draw_note(display)
         if self.shows_help:
-            Page("Keys", "", self.keys).draw(self.surface)
+            Page(self.texts["window.help"], "", self.keys, self.texts).draw(self.surface)
         self._flip(start)
         return keys
 
@@ -233,30 +296,39 @@ class Window:
             self.next_frame = now
 
     def _draw_bar(self, display: DisplayState) -> None:
-        middle, line = self.size[0] / 2, BAR / 2
-        write(self.surface, display.title, (EDGE, line), 19, INK, bold=True)
+        middle, line, texts = self.size[0] / 2, BAR / 2, self.texts
+        left = middle + 70
+        write(self.surface, display.title, (EDGE, line), 19, INK, bold=True, width=middle - EDGE - 60)
         write(self.surface, str(display.won), (middle - 16, line), 26, COLORS[LEFT], True, "midright")
         write(self.surface, ":", (middle, line), 26, INK, True, "center")
         write(self.surface, str(display.lost), (middle + 16, line), 26, COLORS[RIGHT], True, "midleft")
-        left = middle + 70
+        pygame.draw.aacircle(self.surface, HAND, (left + 8, line), 7, 3)
+        left = write(self.surface, texts["window.hand"], (left + 20, line), 14, INK).right + 10
         for model, mark in self.arena.marks.items() if self.overlay else ():
             left = self.surface.blit(mark, mark.get_rect(midleft=(left, line))).right + 2
-            left = write(self.surface, model, (left, line), 14, INK).right + 10
+            left = write(self.surface, texts[f"window.{model}"], (left, line), 14, INK).right + 10
         minutes, seconds = divmod(int(display.seconds), 60)
         write(self.surface, f"{minutes}:{seconds:02d}", (self.size[0] - EDGE, line), 19, INK, True, "midright")
 
     def _draw_foot(self, display: DisplayState) -> None:
         line, left, newtons = self.size[1] - FOOT / 2, EDGE + 110, hypot(*display.force)
         if self.shows_force:
-            write(self.surface, f"force {newtons:.1f} N", (EDGE, line), 14, FORCE if newtons else FADED, bold=True)
-        for name, weight in display.weights.items() if self.shows_force else ():
-            left = write_weight(self.surface, name, weight, (left, line), 14, 70, 12) + EDGE
-        write(self.surface, HINT, (self.size[0] - EDGE, line), 14, FADED, anchor="midright")
+            text = self.texts["window.force"].format(newtons=f"{newtons:.1f}")
+            write(self.surface, text, (EDGE, line), 14, FORCE if newtons else FADED, bold=True)
+        hint, right = self.texts["window.hint"], self.size[0] - EDGE
+        hint = write(self.surface, hint, (right, line), 14, FADED, anchor="midright", width=right / 2)
+        weights = display.weights if self.shows_force else {}
+        room = hint.left - EDGE - left - sum(font(14).size(name)[0] + 6 + EDGE for name in weights)
+        for name, weight in weights.items():
+            left = write_weight(self.surface, name, weight, (left, line), 14, min(70, room / len(weights)), 12) + EDGE
 
-    def _draw_note(self, note: str) -> None:
-        max_width = self.size[0] - 4 * EDGE
-        size = next((size for size in range(20, 9, -1) if render(note, size, INK, True).get_width() <= max_width), 10)
-        box = render(note, size, INK, True).get_rect().inflate(2 * EDGE, 24)
-        box.center = (self.size[0] // 2, BAR + self.arena.size[1] // 2)
-        veil(self.surface, box, (*PAPER, 225))
-        write(self.surface, note, box.center, size, INK, True, "center")
+    def _draw_note(self, display: DisplayState) -> None:
+        """Write the note into a line below the table, where it covers nothing."""
+        if not display.note:
+            return
+        note = display.note
+        if display.next_action:
+            note += "; " + self.texts["notes.then"].format(action=display.next_action)
+        box = pygame.Rect(0, BAR + self.arena.size[1], self.size[0], NOTE)
+        pygame.draw.rect(self.surface, INK, box)
+        write(self.surface, note, box.center, 20, PAPER, True, "center", self.size[0] - 2 * EDGE)

@@ -53,6 +53,7 @@ class DisplayState:
         weights: label -> weight of the force.
         won, lost, seconds: score and time.
         title, note: texts; the note is shown for a while.
+        next_action: what a pressed key will do once a pause is over.
     """
 
     state: np.ndarray | None = None
@@ -68,6 +69,7 @@ class DisplayState:
     seconds: float = 0.0
     title: str = ""
     note: str = ""
+    next_action: str = ""
 
 
 class Screen(Protocol):

@@ -5,7 +5,7 @@ people alike. A tick begins with reading the state and the hand; the force follo
 the next tick is due. Frames are drawn in between.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from math import inf
 
 import numpy as np
@@ -14,6 +14,7 @@ from guidance.haptics.hand import HapticHand
 from guidance.haptics.safety import NO_FORCE
 from guidance.haptics.screen import Clock, DisplayState, Screen
 from guidance.haptics.servo import PERIOD
+from guidance.haptics.texts import english
 from guidance.simulated_users import SimulatedUsers
 from guidance.simulated_users.arm import HAND_REACH
 
@@ -30,11 +31,13 @@ class RealTimePlayer:
         tick_seconds: s, duration of a tick.
         breath: s of rest between rounds.
         person: the simulated person at the device, if there is one.
+        texts: `notes.hold`, `notes.paused` and `notes.fault` in the language of the person.
 
     Attributes:
         display: what the screen shows; the owner of the game writes scores, titles and predictions into it.
         mark: callback for events: pauses, their ends and faults.
         keys: pressed and not taken yet.
+        actions: key -> what it does; of a key that is pressed in a pause, the screen shows it.
         latencies: s from reading state and hand to the force, for every tick.
         late_ticks, pauses, faults: of this game: number of ticks that began more than a tick late; number of pauses,
             without the rests between rounds; messages of the faults.
@@ -48,8 +51,10 @@ class RealTimePlayer:
         tick_seconds: float,
         breath: float = 1.0,
         person: SimulatedUsers | None = None,
+        texts: Mapping[str, str] | None = None,
     ) -> None:
         self.hand, self.screen, self.clock, self.person = hand, screen, clock, person
+        self.texts, self.actions = texts or english(), {}
         self.tick_seconds, self.breath = tick_seconds, breath
         self._steps = round(tick_seconds / PERIOD)
         self.mark: Callable[[str], None] = lambda event: None
@@ -120,7 +125,7 @@ class RealTimePlayer:
         """
         self.pauses += 1
         self.mark("pause")
-        self._rest(inf, "paused: space to go on", is_held=False)
+        self._rest(inf, self.texts["notes.paused"], is_held=False)
         self.mark("go on")
 
     def _breathe(self, is_held: bool) -> None:
@@ -136,7 +141,8 @@ class RealTimePlayer:
             is_held: whether the hand stays at the device, so that the next force need not ramp up.
         """
         clock, screen, hand, start, done = self.clock, self.screen, self.hand, self.clock.now(), 0
-        self.display.note, note, is_ended = note, self.display.note, False
+        display, is_ended = self.display, False
+        display.note, note = note, display.note
         while (now := clock.now()) < start + seconds or hand.fault is not None:
             if screen.next_frame == inf and hand.fault is not None:
                 raise RuntimeError(f"no force: {hand.fault}")
@@ -145,12 +151,15 @@ class RealTimePlayer:
                 passed = int((now - start) / PERIOD)
                 hand.advance(passed - done, self._no_state)
                 done = passed
-            if now >= screen.next_frame and self._draw() and screen.has_focus and hand.fault is None:
-                is_ended = True
-                break
+            if now >= screen.next_frame:
+                if self._draw() and screen.has_focus and hand.fault is None:
+                    is_ended = True
+                    break
+                pending = [self.actions[key] for key in self.keys if key in self.actions] if seconds == inf else []
+                display.next_action = pending[-1] if pending else ""
             end = start + seconds if start + seconds > now else inf
             clock.wait(min(screen.next_frame, end, now + self.tick_seconds) - now)
-        self.display.note = note
+        display.note, display.next_action = note, ""
         self._due = self._observed = clock.now()
         return is_ended
 
@@ -163,9 +172,9 @@ class RealTimePlayer:
             self.mark(f"fault: {fault}")
         note = display.note
         if fault:
-            display.note = f"no force: {fault}; r, then space"
+            display.note = self.texts["notes.fault"].format(fault=fault)
         elif not self.hand.is_held and not note:
-            display.note = "take hold of the device"
+            display.note = self.texts["notes.hold"]
         pressed = self.screen.frame(display)
         display.note = note
         if fault and "r" in pressed:

@@ -41,6 +41,12 @@ FILES = Path(__file__).parent / "bids_files"  # that are the same in every study
 PARTICIPANTS_COLUMNS = ["participant_id", "place"]
 
 
+def shorten(value: Any, most: int = 60) -> str:
+    """A value in one line of at most so many characters."""
+    text = " ".join(str(value).split())
+    return text if len(text) <= most else f"{text[: most - 3]}..."
+
+
 class Records:
     """The records of one study with people; a context manager that holds a lock on their folder.
 
@@ -221,7 +227,9 @@ class Records:
                 for each in (known, manifest)
             )
             changed = [key for key in before if before[key] != now.get(key)]
-            values = [f"{key} = {before[key]} and not {now.get(key)}" for key in changed if key != "study_hash"]
+            changed = [key for key in changed if key != "study_hash"]
+            values = [f"{key} = {shorten(before[key])} and not {shorten(now.get(key))}" for key in changed[:3]]
+            values += [f"{len(changed) - 3} other keys"] if len(changed) > 3 else []
             raise ValueError(
                 f"records = {self.folder} holds a study with "
                 f"{', '.join(values) or f'study_hash = {before[identity[0]]} and not {now[identity[0]]}'}: "

@@ -17,6 +17,7 @@ from guidance.haptics.screen import Quit
 from guidance.haptics.seat import RealTimePlayer
 from guidance.sessions.game import Game
 from guidance.sessions.recording import Recording
+from guidance.sessions.session import OUTCOMES
 from guidance.sessions.tick_log import COLUMNS, TickLog, demonstration, scene_facts, tapped_guidance
 from guidance.study.games import GameRunner, MetricsRecorder
 from guidance.study.models import Models
@@ -94,7 +95,7 @@ class FreePlay:
         if is_end[0]:
             self._round_ticks = 0
             self._save()
-            self._note("out of time" if out_of_time else "goal!" if tick.goals[0] > 0 else "goal against you", 0.0)
+            self._note(self.player.texts[OUTCOMES[int(tick.goals[0])]], 0.0)
             self.runner.new_rounds(is_end)
 
     def press(self, key: str) -> None:

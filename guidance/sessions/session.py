@@ -23,26 +23,12 @@ from guidance.sessions.game import UNSCORED, read_ticks
 from guidance.sessions.participant import Participant
 from guidance.sessions.recording import Recording
 from guidance.sessions.tick_log import COLUMNS, TickLog, demonstration, scene_facts, tapped_guidance
-from guidance.simulated_users.ratings import RATINGS
 from guidance.study.games import GameRunner, GameStep, play_games
 from guidance.study.models import Models
 from guidance.study.protocol import CALIBRATION_GAME, Protocol, RandomStream, counterbalanced_order, spawn_rng_states
 
-WELCOME = (
-    "You play at the left side, in blue. The paddle follows your hand. Whoever gets the puck into the other's goal "
-    "wins the round.\n\nPractice now for as long as you like, without guidance; return ends it."
-)
-FIRST_GAME = (
-    "Now play one game without guidance, from which the guidance learns how you play. It does not count.\n\nThe first "
-    "{familiarization:g} seconds are to warm up; then the game begins, and has {rounds} to {most} rounds."
-)
-NEXT_GAME = (
-    "Game {number} of {games}, with a guidance that may differ from the one before.\n\nThe first {familiarization:g} "
-    "seconds are to get used to it; then the game begins, and has {rounds} to {most} rounds.\n\nRest as long as you "
-    "like before it."
-)
 SKIP = "s"
-THANKS = "That was the last game. Thank you!"
+OUTCOMES = {1: "notes.goal", -1: "notes.goal_against", 0: "notes.undecided"}  # of a round: goal -> text
 
 
 class ExperimenterUI(Interface):
@@ -68,6 +54,7 @@ class SessionPlan:
         seed: of the order and the serves.
         consent: text shown before everything else.
         questions, scale: the items after a game, and the meanings of 1 and 7.
+        texts: all other texts, see `conf/questions/en.yaml`, by their dotted names below `texts`.
         interview: whether the experimenter notes what the person says about a game.
         device: name of the device.
     """
@@ -83,16 +70,9 @@ class SessionPlan:
     consent: str
     questions: Mapping[str, str]
     scale: tuple[str, str]
+    texts: Mapping[str, str]
     interview: bool
     device: str
-
-    def __post_init__(self) -> None:
-        if set(self.questions) != set(RATINGS):
-            raise ValueError(f"questions = {', '.join(self.questions)} must be {', '.join(RATINGS)}")
-        if len(self.scale) != 2:
-            raise ValueError(f"scale = {list(self.scale)} must be two texts, for 1 and for 7")
-        if not self.consent.strip():
-            raise ValueError("consent: the file must hold a text")
 
 
 class Session:
@@ -133,49 +113,63 @@ class Session:
         """Run the open steps; returns whether the person takes part."""
         if not self._consented():
             return False
+        text, number_of_games = self.plan.texts, len(self.order)
         if UNSCORED not in self.participant.games:
             self._practice()
-            self._read("A first game", FIRST_GAME, {"return": "begin"})
+            title = text["first_game.title"]
+            self._announce(title, text["first_game.text"])
             unguided = next(condition for condition in self.plan.conditions if not condition.guidance.models())
-            self._play(unguided, UNSCORED, 0, CALIBRATION_GAME, "A first game")
+            self._play(unguided, UNSCORED, 0, CALIBRATION_GAME, title)
         ticks = read_ticks(self.participant.games[UNSCORED].file, COLUMNS)
         self.adapted = self.plan.models.adapted_to([demonstration(ticks)])
         for number, condition in enumerate(self.order, 1):
             game = self.participant.games.get(condition.name)
-            title = f"Game {number} of {len(self.order)}"
+            title = text["next_game.title"].format(number=number, games=number_of_games)
             if game is None:
-                self._read(title, NEXT_GAME, {"return": "begin"}, number)
+                self._announce(title, text["next_game.text"])
                 self._play(condition, condition.name, number, ascii_lowercase.index(condition.letter), title)
             if self.participant.games[condition.name].ratings is None:
                 self._rate(condition.name, title)
-        self._read("Thank you", THANKS, {"return": "leave"})
+        self._read(text["end.title"], text["end.text"], {"return": text["end.leave"]})
         return True
 
     def _consented(self) -> bool:
+        text = self.plan.texts
         if self.participant.consent is None:
-            keys = {"y": "I have read this and take part", "n": "I do not take part"}
-            if self.ui.page(Page("Before you take part", self.plan.consent, keys)) != "y":
+            keys = {"y": text["consent.agree"], "n": text["consent.decline"]}
+            if self._read(text["consent.title"], self.plan.consent, keys) != "y":
                 return False
             self.participant.give_consent(self.plan.consent)
             self.mark("consent")
         return True
 
-    def _read(self, title: str, text: str, keys: Mapping[str, str], number: int = 0) -> str:
-        protocol = self.plan.protocol
-        max_rounds = protocol.rounds + protocol.extra_rounds
-        numbers = {"familiarization": protocol.familiarization, "rounds": protocol.rounds, "most": max_rounds}
-        return self.ui.page(Page(title, text.format(number=number, games=len(self.order), **numbers), keys))
+    def _read(self, title: str, text: str, keys: Mapping[str, str]) -> str:
+        return self.ui.page(Page(title, text, keys, self.plan.texts))
+
+    def _announce(self, title: str, text: str) -> None:
+        """Show what game comes next, and how long it is."""
+        protocol, texts = self.plan.protocol, self.plan.texts
+        least, most = protocol.rounds, protocol.rounds + protocol.extra_rounds
+        rounds = f"{least}" if least == most else f"{least}–{most}"
+        paragraphs = [text, texts["every_game.rounds"].format(rounds=rounds)]
+        if protocol.familiarization:
+            seconds = f"{protocol.familiarization:g}"
+            paragraphs.insert(1, texts["every_game.familiarization"].format(seconds=seconds))
+        self._read(title, "\n\n".join(paragraphs), {"return": texts["every_game.begin"]})
 
     def _practice(self) -> None:
         """A game without guidance that is not recorded and ends by a key."""
-        if self._read("Practice", WELCOME, {"return": "practice", SKIP: "no practice"}) == SKIP:
+        text = self.plan.texts
+        keys = {"return": text["practice.begin"], SKIP: text["practice.skip"]}
+        if self._read(text["practice.title"], text["practice.text"], keys) == SKIP:
             return
         player, table = self.player, TableSpec()
         self.on_game(CALIBRATION_GAME)
         runner = GameRunner(
             player, self.plan.opponent, table, self._serves(CALIBRATION_GAME, RandomStream.PRACTICE_TABLE)
         )
-        player.display = DisplayState(title="Practice: return when you have had enough")
+        player.display = DisplayState(title=text["practice.running"])
+        player.actions = {"return": text["practice.end"]}
         runner.new_games()
         won = lost = 0
         self.mark("practice")
@@ -183,8 +177,10 @@ class Session:
             tick = runner.tick()
             won, lost = won + int(tick.goals[0] > 0), lost + int(tick.goals[0] < 0)
             player.display.won, player.display.lost = won, lost
+            player.display.seconds += table.tick
             if tick.goals[0]:
                 runner.new_rounds(tick.goals != 0)
+        player.actions = {}
 
     def _serves(self, game: int, stream: RandomStream = RandomStream.TABLE) -> np.ndarray:
         return spawn_rng_states(self.plan.seed, [self.participant.place], game, stream)
@@ -227,21 +223,23 @@ class Session:
         self.on_row(row)
         display = self.player.display
         display.won, display.lost, display.seconds = log.won, log.lost, row["time_s"]
-        remaining = self.plan.protocol.familiarization - row["time_s"]
-        display.note = f"the game begins in {ceil(remaining)} s" if not scored and 0 < remaining < 4 else ""
+        text, remaining = self.plan.texts, self.plan.protocol.familiarization - row["time_s"]
+        is_near = not scored and 0 < remaining < 4
+        display.note = text["notes.begins"].format(seconds=ceil(remaining)) if is_near else ""
         if is_start:
             self.mark("scored")
         if row["goal"]:
             self.mark("goal" if row["goal"] > 0 else "goal against")
         if ended[0]:
-            display.note = {1: "goal!", -1: "goal against you", 0: "out of time"}[int(row["goal"])]
+            display.note = text[OUTCOMES[int(row["goal"])]]
             recording.append(log.take())
 
     def _rate(self, name: str, title: str) -> None:
-        low, high = self.plan.scale
-        ratings = self.ui.ask(Items(f"{title}: how was the guidance?", self.plan.questions, low, high))
+        text, (low, high) = self.plan.texts, self.plan.scale
+        items = Items(text["items.title"].format(game=title), self.plan.questions, low, high, text)
+        ratings = self.ui.ask(items)
         self.participant.save_ratings(name, ratings)
         self.mark(f"rated {name}")
         if self.plan.interview:
-            text = "For the experimenter: what did the person say about this game? Return when done; may stay empty."
-            self.participant.save_ratings(name, ratings, self.ui.write_down(Page(f"{title}: interview", text, {})))
+            page = Page(text["interview.title"].format(game=title), text["interview.text"], {}, text)
+            self.participant.save_ratings(name, ratings, self.ui.write_down(page))

@@ -126,6 +126,19 @@ def is_balanced(users: int, conditions: int) -> bool:
     return users % len(williams_design(conditions)) == 0
 
 
+def balance_note(users: int, conditions: int, others: int = 0) -> str | None:
+    """What is to be known of an order that is not balanced; None if it is, or if there is nothing to order.
+
+    Args:
+        others: the number of conditions that come after those in the order.
+    """
+    if conditions < 2 or is_balanced(users, conditions):
+        return None
+    after = ", and the others come after them" if others else ""
+    people = len(williams_design(conditions))
+    return f"the order of {conditions} conditions is balanced over multiples of {people} people{after}"
+
+
 def counterbalanced_order(users: int, conditions: int, seed: int) -> np.ndarray:
     """(users, conditions): the position, from 1, of each condition in each user's order.
 

@@ -123,6 +123,20 @@ def test_whatever_is_typed_wrong_ends_in_one_line(capsys, monkeypatch, name, arg
         ("lab", "scale=[1, never at all,7.50]", "scale", ["1", "never at all", "7.50"]),
         ("lab", "scale.0=1e0", "scale.0", "1e0"),
         ("lab", "questions.comfort=5", "questions.comfort", "5"),
+        *(
+            ("lab", f"questions.comfort={item}", "questions.comfort", item)
+            for item in (
+                "Wie angenehm war die Führung?",
+                "Wie angenehm, alles in allem, war sie?",
+                "Wie gut: (sehr), „gut“ oder so?",
+                "How's it, a=b?",
+                '"Hilfe" oder "Last"?',
+                "편안했습니까?",
+            )
+        ),
+        ("lab", "questions.comfort='Gut, „so“?'", "questions.comfort", "Gut, „so“?"),
+        ("lab", "scale=[überhaupt nicht, sehr]", "scale", ["überhaupt nicht", "sehr"]),
+        ("lab", "records=/tmp/größe, x", "records", "/tmp/größe, x"),
         ("report", "runs=[2024,1_0,a/1_0,'3']", "runs", ["2024", "1_0", "a/1_0", "3"]),
         ("watch", "run=1_0", "run", "1_0"),
         ("train", "resume=1_0", "resume", "1_0"),

@@ -15,7 +15,9 @@ import pygame
 import pytest
 
 from airhockey_marl.experiment.command import run as start_command
-from guidance.commands import evaluate, lab, report
+from airhockey_marl.experiment.config import CONF
+from guidance.commands import evaluate, lab, play, report
+from guidance.display.drawing import DEJAVU
 from guidance.display.window import MIN_WIDTH, Window
 from guidance.haptics.screen import SimulatedClock
 from guidance.sessions.bids import Records
@@ -185,7 +187,7 @@ class Reader(Window):
 
     def __init__(self, *how, **more) -> None:
         super().__init__(*how, **more)
-        self.read, self.titles = [], set()
+        self.read, self.titles, self.clocks = [], set(), {}
         Reader.last = self
 
     def press(self, *keys: str) -> None:
@@ -217,7 +219,8 @@ class Reader(Window):
 
     def frame(self, moment) -> list[str]:
         self.titles.add(moment.title)
-        if "Practice" in moment.title and self.clock.now() > 1.0:
+        self.clocks[moment.title] = moment.seconds
+        if moment.title == self.texts["practice.running"] and self.clock.now() > 1.0:
             self.press("return")
         if self.clock.now() > self.leave_at:
             self.press("escape")
@@ -230,12 +233,12 @@ def at_a_window(monkeypatch, tmp_path):
     monkeypatch.setattr("guidance.haptics.screen.WallClock", SimulatedClock)
     monkeypatch.setattr("guidance.display.window.Window", Reader)
 
-    def session(**habits) -> tuple[Reader, str]:
+    def session(*more: str, **habits) -> tuple[Reader, str]:
         for name, value in habits.items():
             monkeypatch.setattr(Reader, name, value)
         where = f"records={tmp_path}/records", f"hydra.run.dir={tmp_path}/run"
         how = "device=simulated", "+preset=smoke", "participant=P1", "breath=0.2", f"width={MIN_WIDTH}"
-        code, said, complained = here(lab, *how, *where)
+        code, said, complained = here(lab, *how, *where, *more)
         assert code == 0, complained
         return Reader.last, said
 
@@ -319,8 +322,14 @@ def test_without_its_device_nobody_is_enrolled(tmp_path):
         (["device=mouse"], "window = false must be true for device = mouse"),
         (["device=omega"], "device = omega must be one of forcedimension, gamepad, mouse, simulated"),
         (["consent=nowhere.txt"], "consent = nowhere.txt must be a file with a text"),
-        (["~questions.comfort"], "questions = helpfulness, naturalness, controllability must be"),
-        (["scale=[a]"], "scale = ['a'] must be two texts"),
+        (["~questions.comfort"], "error: questions.comfort is missing"),
+        (["scale=[a]"], "error: scale.1 is missing"),
+        (["scale=[a,b,c]"], "error: scale.2: no such text"),
+        (["questions=fr"], "questions = fr must be one of de, en"),
+        (["questions=nowhere.yaml"], "questions = nowhere.yaml: there is no such file"),
+        (["texts.notes.goal="], "error: texts.notes.goal = '' must be a text"),
+        (["texts.next_game.title=Spiel {nummer}"], "{nummer} must be one of the placeholders: {games}, {number}"),
+        (["questions.comfort=Gut {so}?"], "questions.comfort: {so} must be one of the placeholders: there are none"),
         (["withdraw=perhaps"], "withdraw = perhaps must be true or false"),
         (["breath=-1"], "breath = -1 must be a finite number of at least 0 and at most 10"),
         (["safety.speed=0"], "safety.speed = 0 must be a finite number above 0"),
@@ -340,6 +349,123 @@ def test_wrong_values_end_in_one_line_and_leave_nothing(monkeypatch, capsys, tmp
     shown = capsys.readouterr().err
     assert stopped.value.code == 2 and shown.count("\n") == 1 and message in shown, shown
     assert not list(tmp_path.rglob("sub-*"))
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("  comfort: How", "  comfy: How"), "{file}: questions.comfy: no such text; did you mean questions.comfort?"),
+        (("    goal: goal!\n", ""), "{file}: texts.notes.goal is missing"),
+        (("goal: goal!", "goal: 3"), "{file}: texts.notes.goal = 3 must be a text"),
+        (("{seconds} s are", "{second} s are"), "{file}: texts.every_game.familiarization: {{second}} must be one of"),
+        (("{seconds} s are", "{seconds s are"), "{file}: texts.every_game.familiarization: expected '}}' before end"),
+        (("{seconds} s are", "{seconds!r} s are"), "{{seconds!r}} must be one of the placeholders: {{seconds}}"),
+        (("scale: [", "scale: ["), None),
+        (("texts:", "\ttexts:"), "{file} is no yaml of ours"),
+    ],
+)
+def test_a_yaml_of_texts_is_checked(monkeypatch, tmp_path, change, message):
+    file = tmp_path / "my größe.yaml"
+    text = (CONF / "questions" / "en.yaml").read_text(encoding="utf-8")
+    assert change[0] in text
+    file.write_text("\ufeff" + text.replace(*change), encoding="utf-8")
+    started = StringIO()
+    monkeypatch.setattr(
+        "guidance.sessions.session.Session.run", lambda session: started.write(repr(session.plan.texts))
+    )
+    code, _, complained = take_part(tmp_path, "P1", f"questions={file}")
+    if message is None:
+        assert code == 0 and "Before you take part" in started.getvalue(), complained
+    else:
+        assert code == 2 and message.format(file=file) in complained and complained.count("\n") == 1, complained
+        assert not (tmp_path / "records").exists() and not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (b"Gr\xfc\xdfe", "must be saved as UTF-8: line 1 has the byte 0xfc"),
+        ("Text\nGrüße".encode("utf-16"), "must be saved as UTF-8: line 1 has the byte 0xff"),
+        (b" \n", "must hold a text"),
+        (b"\xef\xbb\xbf", "must hold a text"),
+        (b"There are {game} games.", "{game} must be one of the placeholders: {games}"),
+        ("동의서".encode(), "has 동 서 의, for which there is no font: install one"),
+        ("\u05e9\u05dc\u05d5\u05dd".encode(), "has \u05e9 \u05dc \u05d5 \u05dd, which the window cannot join or order"),
+        ("यह".encode(), "for which there is no font"),
+        ("हिन्दी".encode(), "which the window cannot join or order"),
+        ("soft\u00adhyphen \u0000".encode(), "has U+00AD U+0000, which"),
+    ],
+)
+def test_a_consent_that_nobody_could_read_is_refused(tmp_path, content, message):
+    consent = tmp_path / "consent.txt"
+    consent.write_bytes(content)
+    code, _, complained = take_part(tmp_path, "P1", "window=true", f"consent={consent}")
+    assert code == 2 and f"consent = {consent} " in complained.replace(": ", " ") and message in complained, complained
+    assert complained.count("\n") == 1 and not (tmp_path / "records").exists()
+
+
+@pytest.mark.parametrize("typed", ["questions.comfort=편안했습니까?", "scale=[gar nicht, 매우]"])
+def test_an_item_without_glyphs_is_refused(tmp_path, typed):
+    code, _, complained = take_part(tmp_path, "P1", "window=true", typed)
+    assert code == 2 and "for which there is no font" in complained and typed.partition("=")[0] in complained
+    assert not (tmp_path / "records").exists()
+
+
+def test_a_font_that_is_chosen_is_used(at_a_window, tmp_path):
+    session, folder = at_a_window
+    (tmp_path / "consent.txt").write_text("동의서", encoding="utf-8")
+    glyphs = DEJAVU.with_name("LastResortHE-Regular.ttf")
+    _, said = session(
+        "questions.comfort=편안했습니까?", f"consent={tmp_path}/consent.txt", f"font={glyphs}", leave_at=1.0
+    )
+    assert "It goes on" in said
+    assert json.loads((folder / "sub-P1" / "sub-P1_consent.json").read_text())["text"] == "동의서"
+    (tmp_path / "no.ttf").write_text("no font")
+    code, _, complained = take_part(tmp_path, "P1", "window=true", f"font={tmp_path}/no.ttf")
+    assert code == 2 and f"font = {tmp_path}/no.ttf must be a font file" in complained
+
+
+def test_no_byte_order_mark_and_no_carriage_return_are_in_the_record(at_a_window, tmp_path):
+    session, folder = at_a_window
+    (tmp_path / "consent.txt").write_bytes("\ufeffOne\r\ngame, {games} more: e\u0301\r".encode())
+    session(f"consent={tmp_path}/consent.txt", leave_at=1.0)
+    record = json.loads((folder / "sub-P1" / "sub-P1_consent.json").read_text())
+    assert record["text"] == "One\ngame, 9 more: \u00e9\n"
+
+
+def test_a_session_in_german(at_a_window):
+    session, folder = at_a_window
+    item = "Wie angenehm, alles in allem, war's: „gut“ oder (eher) nicht?"
+    german = "questions=de", f"questions.comfort={item}"
+    window, said = session(*german, leave_at=30.0)
+    assert "It goes on" in said
+    titles = [title for title, _ in window.read]
+    assert titles[:4] == ["Bevor Sie teilnehmen", "Übung", "Ein erstes Spiel", "Spiel 1 von 9"]
+    assert "Übung: Eingabetaste beendet sie" in window.titles
+    assert window.clocks["Übung: Eingabetaste beendet sie"] > 0.5  # the clock of the practice runs
+    game = json.loads(next(folder.rglob("*run-1_beh.json")).read_text())
+    assert game["Facts"]["questions"]["comfort"] == item and game["Facts"]["scale"] == ["überhaupt nicht", "sehr"]
+    code, _, complained = take_part(folder.parent, "P1", "breath=0.2", "questions=en")
+    assert code == 2 and "holds a study with" in complained and len(complained) < 700, complained
+
+
+@pytest.mark.parametrize(
+    ("driver", "message"), [("", "window: there is no display here"), ("x11", "window: it cannot be opened with")]
+)
+def test_without_a_display_nothing_is_left(monkeypatch, tmp_path, driver, message):
+    """Of a session, nor of a game: no records, and no run folder."""
+    pygame.display.quit()
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.setenv("SDL_VIDEODRIVER", driver)
+    if not driver:
+        monkeypatch.delenv("SDL_VIDEODRIVER")
+        monkeypatch.setattr("pygame.display.get_driver", lambda: "offscreen")
+    outputs = f"hydra.run.dir={tmp_path}/outputs/day/time"
+    commands = (play, ["device=simulated", "seconds=1"]), (lab, ["device=mouse", "participant=new"])
+    for command, arguments in commands:
+        code, _, complained = here(command, *arguments, outputs, *[f"records={tmp_path}/r"] * (command == lab))
+        assert code == 2 and f"error: {message}" in complained and complained.count("\n") == 1, complained
+        assert not list(tmp_path.iterdir())
 
 
 def test_there_are_as_many_places_as_the_order_is_balanced_for(monkeypatch, two):

@@ -6,9 +6,12 @@ import signal
 import sys
 import time
 from pathlib import Path
+from string import ascii_lowercase
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
+import pygame
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
@@ -18,6 +21,7 @@ from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.command import run as start_command
 from airhockey_marl.league.league import League
 from guidance.commands import watch
+from guidance.commands.play import KEYS, condition_keys
 from guidance.haptics.devices.pointer import Mouse
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
@@ -99,6 +103,17 @@ def test_keys_choose_guidances_and_every_stretch_is_a_recording(shipped, tmp_pat
     assert list(counts["position"]) == list(range(1, len(tables) + 1)) and set(counts["condition"]) <= set(CONDITIONS)
     assert counts[["rounds_won", "rounds_lost", "rounds_undecided"]].sum(axis=1).equals(summary["rounds"].astype(int))
     assert (counts["shots_stopped"] / counts["shots_faced"]).equals(summary["defense_rate"])
+
+
+def test_every_condition_has_a_key_that_exists():
+    """Also the tenth, and those whose letters the window has for something else."""
+    letters = ascii_lowercase
+    conditions = [SimpleNamespace(letter=letter) for letter in letters]
+    keys = condition_keys(conditions)
+    assert list(keys.values()) == conditions and set(keys).isdisjoint(KEYS)
+    assert list(keys)[:10] == [*"123456789", "j"] and all(keys[key].letter == key for key in "jklmnpqst")
+    pygame.init()
+    assert all(pygame.key.name(pygame.key.key_code(key)) == key for key in keys)
 
 
 def test_the_same_keys_give_the_same_bytes(shipped, tmp_path):

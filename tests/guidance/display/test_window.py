@@ -1,5 +1,6 @@
 """The window on a virtual screen: its pixels and its keys."""
 
+import os
 from functools import cache
 from math import atan2, hypot
 
@@ -7,19 +8,25 @@ import numpy as np
 import pygame
 import pytest
 import torch
+import yaml
 from hypothesis import given
 from hypothesis import strategies as st
 
 from airhockey_marl.envs.physics import LEFT, PUCK, RIGHT, TableSpec
 from airhockey_marl.envs.rendering import COLORS, FELT
+from airhockey_marl.experiment.config import CONF, InputError
 from guidance.display.arena import Arena
-from guidance.display.pages import Items, Page
-from guidance.display.scene import ARROW, FORCE, PAPER, TARGETS
+from guidance.display.drawing import DEJAVU, choose_font, clear_caches, font, lacking, use_font, wrap
+from guidance.display.pages import MARGIN, Items, Page
+from guidance.display.scene import ARROW, FORCE, GRAY, HAND, PAPER, TARGETS
 from guidance.display.window import BAR, MIN_WIDTH, Window
 from guidance.forces.conditions import Prediction
 from guidance.haptics.screen import DisplayState, Quit, SimulatedClock
+from guidance.haptics.texts import flatten_texts, read_consent
+from tests import ROOT
 
 STATE = np.array([-0.5, 0.1, 0, 0, 0.6, -0.2, 0, 0, 0.2, 0.3, 0, 0])
+EVERY_GLYPH, STIX = DEJAVU.with_name("LastResortHE-Regular.ttf"), DEJAVU.with_name("STIXGeneral.ttf")
 ITEMS = {name: f"How {name}?" for name in ("helpful", "natural", "controllable", "comfortable")}
 
 
@@ -285,28 +292,38 @@ def test_a_note_is_written_down(window):
 
 
 @pytest.mark.parametrize("width", [MIN_WIDTH, 1100, 1600])
-def test_every_text_fits(width):
+@pytest.mark.parametrize("language", ["en", "de"])
+def test_every_text_fits(width, language):
     from guidance.commands.lab import KEYS as LAB_KEYS
     from guidance.commands.play import KEYS
-    from guidance.sessions.session import FIRST_GAME, NEXT_GAME, WELCOME
 
-    window = Window("test", TableSpec(), width, 60, SimulatedClock(), {})
-    long = {"return": "begin", "s": "no practice"}
-    numbers = {"familiarization": 30, "rounds": 7, "most": 10, "number": 9, "games": 9}
+    content = yaml.safe_load((CONF / "questions" / f"{language}.yaml").read_text(encoding="utf-8"))
+    content["scale"][0] = "not at all, never, on no account"  # longer than any that is shipped
+    content["questions"]["comfort"] *= 3
+    text = {key.removeprefix("texts."): value for key, value in flatten_texts(content).items()}
+    window = Window("test", TableSpec(), width, 60, SimulatedClock(), {}, texts=text)
+    title = text["next_game.title"].format(number=10, games=10)
     nine = {str(i): "(i) CombHG (UT+UA+SC)" for i in range(1, 10)}
-    with open("guidance/sessions/consent.txt", encoding="utf-8") as file:
-        consent = file.read()
-    pages = [Page("Before you take part", consent, {"y": "I have read this and take part", "n": "I do not"})]
-    pages += [Page("Game 9 of 9", text.format(**numbers), long) for text in (WELCOME, FIRST_GAME, NEXT_GAME)]
-    pages += [Page("Keys", "", nine | KEYS), Page("Keys", "", LAB_KEYS)]
+    consent = read_consent(ROOT / "guidance" / "sessions" / "consent" / f"{language}.txt", 9)
+    begin = {"return": text["every_game.begin"], "s": text["practice.skip"]}
+    agreement = {"y": text["consent.agree"], "n": text["consent.decline"]}
+    every = "\n\n".join(text[f"every_game.{name}"] for name in ("familiarization", "rounds"))
+    pages = Page(text["consent.title"], consent, agreement, text).parts(window.size)
+    pages += [Page(title, f"{text[key]}\n\n{every}", begin, text) for key in ("first_game.text", "next_game.text")]
+    pages += [Page(title, text["practice.text"], begin, text), Page("Keys", "", nine | KEYS, text)]
+    pages += [Page(text["window.help"], "", {key: text[f"keys.{key}"] for key in LAB_KEYS}, text)]
     for page in pages:
         page.draw(window.surface)
         edges = screenshot(window)
         for part in (edges[:, -20:], edges[-20:], edges[:, :20]):
             assert (part == PAPER).all(), page.title
-    Items("Game 9 of 9: how was the guidance?", ITEMS, "not at all", "very much").draw(window.surface)
-    edges = screenshot(window)
-    assert (edges[:, -20:] == PAPER).all() and (edges[-20:] == PAPER).all()
+    items = Items(text["items.title"].format(game=title), content["questions"], *content["scale"], text)
+    for _ in range(4):
+        items.draw(window.surface)
+        edges = screenshot(window)
+        assert (edges[:, -20:] == PAPER).all() and (edges[-20:] == PAPER).all()
+        assert (edges[:, : MARGIN - 20] == PAPER).all()
+        items.press("4")
     weights = {"W_unc optimal": 1.0, "W_unc predicted": 0.5, "W_sim": 0.2}
     busy = moment(
         title="CombHG (UT+UA+SC), generation 100",
@@ -315,10 +332,95 @@ def test_every_text_fits(width):
         won=10,
         lost=10,
         seconds=3599,
+        note=text["notes.fault"].format(fault="the hand is 0.123 m away from the center, more than 0.11 m"),
     )
     picture = shown(window, busy)
     bar, foot = picture[:BAR], picture[-30:]
     assert (bar[:, -8:] == PAPER).all() and (foot[:, -8:] == PAPER).all()
-    used = np.flatnonzero((foot != PAPER).any(axis=(0, 2)))
-    assert np.diff(used).max() > 20  # between the weights and the keys there is a gap: nothing overlaps
+    grey = np.flatnonzero((foot == GRAY).all(axis=2).any(axis=0)).max()  # the end of the last weight
+    assert (foot[:, grey + 1 : grey + 12] == PAPER).all()  # a gap before the keys: nothing overlaps
     window.close()
+
+
+def test_a_note_covers_nothing_of_the_table(window):
+    empty, noted = shown(window, moment()), shown(window, moment(note="no force: " + "a" * 80))
+    changed = np.argwhere((empty != noted).any(axis=2))[:, 0]
+    assert len(changed) and changed.min() >= BAR + window.arena.size[1]
+
+
+def test_the_ring_of_the_hand_is_in_a_legend(window):
+    bar = shown(window, moment())[:BAR]
+    assert (bar == HAND).all(axis=2).sum() > 20
+
+
+def test_a_key_in_a_pause_is_answered(window):
+    paused = shown(window, moment(note="paused"))
+    then = shown(window, moment(note="paused", next_action="OAHG"))
+    assert (paused != then).any()
+
+
+def test_text_without_spaces_and_long_words_are_split():
+    for text in ("마" * 300, "https://" + "x" * 300, "short " + "y" * 300):
+        lines = wrap(text, 19, 400)
+        assert "".join(lines).replace(" ", "") == text.replace(" ", "") and len(lines) > 5
+        assert all(font(19, False, text).size(line)[0] <= 400 for line in lines)
+
+
+def test_a_font_is_chosen_that_has_all_characters(monkeypatch):
+    assert choose_font("Wie angenehm war die Führung? – „gut“") == DEJAVU
+    assert lacking("한국 ab", DEJAVU) == ["국", "한"]
+    assert choose_font("한국어") == DEJAVU  # there is no other
+    monkeypatch.setattr("guidance.display.drawing.installed_fonts", lambda: (STIX, EVERY_GLYPH))
+    assert choose_font("한국어 ab") == EVERY_GLYPH
+    assert choose_font("한국어", STIX) == STIX  # as it was asked for
+    use_font(EVERY_GLYPH)
+    assert font(19, False, "한국어 ab").size("한") != pygame.font.Font(DEJAVU, 19).size("한")
+    clear_caches()
+
+
+@pytest.mark.parametrize("driver", ["offscreen", "dummy"])
+def test_without_a_display_there_is_no_window(monkeypatch, driver):
+    """Unless an invisible one is asked for."""
+    monkeypatch.delenv("SDL_VIDEODRIVER")
+    monkeypatch.setattr("pygame.display.get_driver", lambda: driver)
+    with pytest.raises(InputError, match=r"^window: there is no display here"):
+        Window("test", TableSpec(), MIN_WIDTH, 60, SimulatedClock(), {})
+
+
+def test_what_a_library_complains_of_is_not_shown(monkeypatch, capfd):
+    monkeypatch.setattr("pygame.display.init", lambda: os.write(2, b"error: XDG_RUNTIME_DIR is not set"))
+    monkeypatch.setattr("pygame.display.get_driver", lambda: "offscreen")
+    monkeypatch.delenv("SDL_VIDEODRIVER")
+    with pytest.raises(InputError):
+        Window("test", TableSpec(), MIN_WIDTH, 60, SimulatedClock(), {})
+    assert capfd.readouterr().err == ""
+
+
+@pytest.mark.parametrize("driver", ["x11", "nonsense"])
+def test_a_driver_that_cannot_start_is_named(monkeypatch, driver):
+    pygame.display.quit()
+    monkeypatch.setenv("SDL_VIDEODRIVER", driver)
+    monkeypatch.delenv("DISPLAY", raising=False)
+    with pytest.raises(InputError, match=rf"^window: it cannot be opened with SDL_VIDEODRIVER={driver}: .*available"):
+        Window("test", TableSpec(), MIN_WIDTH, 60, SimulatedClock(), {})
+
+
+def test_a_window_must_fit_on_a_screen(monkeypatch):
+    monkeypatch.setattr("pygame.display.get_driver", lambda: "x11")
+    monkeypatch.setattr("pygame.display.get_desktop_sizes", lambda: [(640, 480), (1024, 768)])
+    with pytest.raises(InputError, match=r"^width = 1100 must be smaller: .* does not fit on a screen of 1024 by 768"):
+        Window("test", TableSpec(), 1100, 60, SimulatedClock(), {})
+    Window("test", TableSpec(), 1000, 60, SimulatedClock(), {}).close()
+
+
+def test_a_full_screen_that_the_display_refuses_is_an_error(monkeypatch):
+    set_mode = pygame.display.set_mode
+
+    def refuse(size, flags=0):
+        if flags & pygame.FULLSCREEN:
+            raise pygame.error("no fullscreen")
+        return set_mode(size, flags)
+
+    monkeypatch.setattr("pygame.display.set_mode", refuse)
+    with pytest.raises(InputError, match=r"^window: it cannot be opened.*: no fullscreen"):
+        Window("test", TableSpec(), MIN_WIDTH, 60, SimulatedClock(), {}, fullscreen=True)

@@ -40,6 +40,7 @@ class Screen:
     def __init__(self, clock: SimulatedClock, cost: float = 0.0, keys: dict[float, str] | None = None) -> None:
         self.clock, self.frame_cost, self.keys = clock, cost, dict(keys or {})
         self.next_frame, self.has_focus, self.frames, self.notes = 0.0, True, [], []
+        self.actions: dict[float, str] = {}  # by the time to a tenth of a second
 
     def poll(self) -> None:
         pass
@@ -47,6 +48,7 @@ class Screen:
     def frame(self, moment) -> list[str]:
         self.frames.append(self.clock.now())
         self.notes.append(moment.note)
+        self.actions[round(self.clock.now(), 1)] = moment.next_action
         self.clock.wait(self.frame_cost)
         self.next_frame = max(self.next_frame + 1 / 60, self.clock.now())
         assert self.clock.now() < 60, "somebody waits for ever"
@@ -137,6 +139,15 @@ def test_after_a_pause_and_in_a_new_game_a_force_starts_softly():
     assert strength(1) < 0.15 * whole and strength(60) == pytest.approx(whole)
     seat.new_round(np.array([True]))
     assert strength(2) > 0.9 * whole  # within a game the hand stays where it is
+
+
+def test_keys_in_a_pause_are_announced_and_act_after_it():
+    player = make_player(keys={0.1: "space", 0.3: "2", 0.5: "3", 0.6: "x", 1.0: "space"})
+    player.actions = {"2": "OAHG", "3": "UPHG"}
+    for _ in range(20):
+        player.step(STATE, FORCE)
+    actions = [player.screen.actions[time] for time in (0.2, 0.4, 0.7, 1.1)]
+    assert actions == ["", "OAHG", "UPHG", ""] and player.take_keys() == ["2", "3", "x"]
 
 
 def test_movements_in_a_pause_are_no_action():

@@ -21,7 +21,14 @@ from guidance.statistics.codebook import tables_beside
 from guidance.study.batched_guidance import BatchedGuidance
 from guidance.study.games import no_force, play_games
 from guidance.study.models import Models
-from guidance.study.protocol import Protocol, counterbalanced_order, is_balanced, spawn_rng_states, williams_design
+from guidance.study.protocol import (
+    Protocol,
+    balance_note,
+    counterbalanced_order,
+    is_balanced,
+    spawn_rng_states,
+    williams_design,
+)
 from guidance.study.setup import StudySetup
 from guidance.study.study import Cohort, run_studies, run_study
 
@@ -104,6 +111,13 @@ def test_shuffled_adaptation_changes_ua_and_nothing_else(models):
 
 def test_nine_orders_are_balanced_over_multiples_of_eighteen():
     assert is_balanced(36, 9) and not is_balanced(20, 9) and is_balanced(20, 4)
+
+
+def test_an_order_that_is_not_balanced_is_noted():
+    assert balance_note(20, 1) is None and balance_note(36, 9) is None and balance_note(20, 10) is None
+    assert balance_note(20, 9) == "the order of 9 conditions is balanced over multiples of 18 people"
+    assert balance_note(25, 10) == "the order of 10 conditions is balanced over multiples of 10 people"
+    assert balance_note(20, 9, others=1).endswith("18 people, and the others come after them")
 
 
 def test_a_condition_beyond_the_nine_comes_after_them(models):
