@@ -5,7 +5,7 @@ RUNS ?= $(or $(AIRHOCKEY_OUTPUTS),outputs)
 
 .PHONY: study test test-portable test-slow bench board audit lint types docs hooks third-party clean help
 PYTEST := $(BIN)/python -m pytest
-FAST := -m 'not slow' --numprocesses auto --dist worksteal
+FAST := -m 'not slow' --numprocesses auto --dist loadgroup
 
 help:  ## this list
 	@grep -E '^[a-z-]+:.*##' $(MAKEFILE_LIST) | sed -E 's/:[^#]*##/\t/'

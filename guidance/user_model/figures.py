@@ -48,7 +48,8 @@ def draw_horizons(results: Mapping, labels: Mapping[str, str], path: Path) -> No
 def _means(rows: Sequence[Mapping], measure: str) -> tuple[np.ndarray, np.ndarray]:
     """Means (rows,) of a measure, and halves of their intervals; NaN of what is not finite or beyond `DIVERGED`."""
     mean, high = (np.array([row[measure][key] for row in rows], dtype=float) for key in ("mean", "high"))
-    return tuple(np.where(np.abs(values) < DIVERGED, values, np.nan) for values in (mean, high - mean))
+    half = high - mean
+    return np.where(np.abs(mean) < DIVERGED, mean, np.nan), np.where(np.abs(half) < DIVERGED, half, np.nan)
 
 
 def draw_adaptation(results: Mapping, labels: Mapping[str, str], path: Path) -> None:

@@ -51,7 +51,7 @@ def test_games_identify_playstyle_and_person(setup):
 def test_games_of_identical_people_identify_neither(setup):
     default = Population.default()
     same = {k: value._replace(log_sd=0.0) for k, value in default.parameters.items() if isinstance(value, LogNormal)}
-    alike = {name: [0.5] * 6 for name in default.style.archetypes}
+    alike = {name: [0.5] * 6 for name in default["archetypes"]}
     population = Population.default(**same, archetypes=alike, trait_concentration=np.inf, skill_sd=0.0)
     style, (known, _) = games(population, 4000, setup)
     others, (one, another) = games(population, 4500, setup)
