@@ -162,7 +162,7 @@ def _quote_text(override: Override, cfg: DictConfig, sweeps: bool) -> Override:
     def quote(match: re.Match[str]) -> str:
         text = match[0].strip()
         read = _parse(f"x={text}").value() if text else ""
-        return f"'{text}'" if isinstance(read, int | float) or (read is None and not may_be_null) else match[0]
+        return _quoted(text) if isinstance(read, int | float) or (read is None and not may_be_null) else match[0]
 
     return _parse(f"{start}={re.sub(ELEMENT, quote, value)}")
 

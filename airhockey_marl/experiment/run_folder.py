@@ -49,7 +49,7 @@ class RunRecorder(Callback):
     def on_job_start(self, config: DictConfig, **_: Any) -> None:
         """Write that the job is running."""
         if config.hydra.output_subdir is not None:
-            _running(RunRecord(Path(config.hydra.runtime.output_dir), config.hydra.job.config_name), config).write()
+            _running(RunRecord(Path(config.hydra.runtime.output_dir), config.hydra.job.config_name)).write()
 
     def on_job_end(self, config: DictConfig, job_return: JobReturn, **_: Any) -> None:
         """Write how it ended, into the folder of the run that it resumed, too; a run that was refused leaves none."""
@@ -74,14 +74,14 @@ class RunRecorder(Callback):
             print(f"\nsweep: {sweep}\n{listing(jobs, sweep)}")
 
 
-def _running(run: RunRecord, config: DictConfig) -> RunRecord:
+def _running(run: RunRecord) -> RunRecord:
     """A run as this process begins or resumes it."""
-    pid, typed = os.getpid(), list(config.hydra.overrides.task)
+    pid, typed = os.getpid(), HydraConfig.get().overrides.task
     own = [argument for argument in typed if argument not in run.overrides and not argument.startswith("resume=")]
     return replace(
         run,
         overrides=[*run.overrides, *own],
-        commands=[*run.commands, " ".join(["airhockey", config.hydra.job.config_name, *typed])],
+        commands=[*run.commands, command_line()],
         **{"status": "running", "host": socket.gethostname(), "pid": pid, "birth": process_start(pid)},
         **{"started": time.time(), "seconds": None, "error": ""},
     )
@@ -185,12 +185,7 @@ def lock_run_folder(cfg: DictConfig) -> Iterator[Path]:
         if cfg.get("resume"):
             write_text(folder / ".hydra" / "config.yaml", OmegaConf.to_yaml(OmegaConf.merge(cfg, {"resume": None})))
             earlier = read_run(folder)
-            _running(replace(earlier, command=earlier.command or HydraConfig.get().job.config_name), _job()).write()
+            _running(replace(earlier, command=earlier.command or HydraConfig.get().job.config_name)).write()
         yield folder
     finally:
         lock.release()
-
-
-def _job() -> DictConfig:
-    """The configuration of the running job, as callbacks are given it."""
-    return OmegaConf.create({"hydra": HydraConfig.get()})
