@@ -4,8 +4,8 @@ Everything is in SI units. The origin is the table's center, x runs along the ta
 left as seen from the left end. A table's state is `bodies`, a float64 array (3, 4): the rows are the left paddle, the
 right paddle and the puck, the columns x, y, vx, vy.
 
-The functions are scalar and compiled with numba. `world.World` calls `step_physics` for each table of a batch, so a
-single table and a batch are the same arithmetic, bit for bit.
+The functions are compiled with numba. `world.World` calls `step_physics` for each table of a batch, so a single table
+and a batch are the same arithmetic, bit for bit. `coast` says where tables are going while nobody steers.
 
 A tick is a few sub-steps of constant velocities, so the time of each contact is a root of a linear or quadratic
 equation. All bodies move to the earliest contact, it is resolved, and so on: no puck is too fast to meet what is in
@@ -119,6 +119,17 @@ def _own_half(agent, table):
     return low_x, high_x, table.width / 2 - table.paddle_radius
 
 
+@inlined
+def _stop_at_bounds(paddle, agent, velocity_x, velocity_y, dt, table):
+    """Set the paddle's velocity for this sub-step: the given one, which ends at the bounds of its own half."""
+    low_x, high_x, side = _own_half(agent, table)
+    if not low_x <= paddle[X] + velocity_x * dt <= high_x:
+        velocity_x = (clamp(paddle[X] + velocity_x * dt, low_x, high_x) - paddle[X]) / dt
+    if not -side <= paddle[Y] + velocity_y * dt <= side:
+        velocity_y = (clamp(paddle[Y] + velocity_y * dt, -side, side) - paddle[Y]) / dt
+    paddle[VX], paddle[VY] = velocity_x, velocity_y
+
+
 @compiled
 def _drive_paddle(paddle, agent, goal_x, goal_y, dt, table):
     """Set the paddle's velocity for this sub-step: toward its goal, as fast as its speed and acceleration allow.
@@ -136,14 +147,7 @@ def _drive_paddle(paddle, agent, goal_x, goal_y, dt, table):
     if change > allowed:
         change_x *= allowed / change
         change_y *= allowed / change
-    velocity_x, velocity_y = paddle[VX] + change_x, paddle[VY] + change_y
-
-    low_x, high_x, side = _own_half(agent, table)
-    if not low_x <= paddle[X] + velocity_x * dt <= high_x:
-        velocity_x = (clamp(paddle[X] + velocity_x * dt, low_x, high_x) - paddle[X]) / dt
-    if not -side <= paddle[Y] + velocity_y * dt <= side:
-        velocity_y = (clamp(paddle[Y] + velocity_y * dt, -side, side) - paddle[Y]) / dt
-    paddle[VX], paddle[VY] = velocity_x, velocity_y
+    _stop_at_bounds(paddle, agent, paddle[VX] + change_x, paddle[VY] + change_y, dt, table)
 
 
 @inlined
@@ -311,6 +315,51 @@ def _advance(bodies, seconds):
         bodies[body, Y] += bodies[body, VY] * seconds
 
 
+@inlined
+def _advance_paddles(bodies, seconds):
+    for agent in (LEFT, RIGHT):
+        bodies[agent, X] += bodies[agent, VX] * seconds
+        bodies[agent, Y] += bodies[agent, VY] * seconds
+
+
+@compiled
+def _substep(bodies, dt, table):
+    """Move all bodies on by `dt`, the paddles at their velocities, or until a goal.
+
+    Returns `goal` and `touched` as `step_physics`, and the seconds of `dt` that are left after a goal.
+    """
+    puck, end = bodies[PUCK], table.length / 2
+    speed = hypot(puck[VX], puck[VY])
+    if speed > 0.0:
+        kept = max(0.0, 1.0 - dt * (table.drag + table.friction / speed))
+        puck[VX] *= kept
+        puck[VY] *= kept
+
+    if _out_of_reach(bodies, dt, table):
+        _advance(bodies, dt)
+        return 0, 0, 0.0
+    left_over, touched = dt, 0
+    for _ in range(MAX_CONTACTS):
+        time, contact, post = _first_contact(bodies, table)
+        if contact == NO_CONTACT or time >= left_over:
+            _advance(bodies, left_over)
+            left_over = 0.0
+            break
+        _advance(bodies, time)
+        left_over -= time
+        if abs(puck[X]) > end:
+            break
+        if contact <= AT_RIGHT:
+            touched |= 1 << contact
+        _resolve(bodies, contact, post, table)
+    if abs(puck[X]) > end:
+        return (1 if puck[X] > 0.0 else -1), touched, left_over
+    if left_over > 0.0:  # squeezed: the paddles finish their motion, `_separate` moves the puck
+        _advance_paddles(bodies, left_over)
+    _separate(bodies, table)
+    return 0, touched, 0.0
+
+
 @compiled
 def step_physics(bodies: np.ndarray, targets: np.ndarray, table: TableSpec) -> tuple[int, int]:
     """Advance one table by one tick (`table.tick` seconds), in place.
@@ -325,8 +374,6 @@ def step_physics(bodies: np.ndarray, targets: np.ndarray, table: TableSpec) -> t
         touched: bits of `TOUCHED_BY`, the agents whose paddles hit the puck.
     """
     dt = table.tick / table.substeps
-    end = table.length / 2
-    puck = bodies[PUCK]
     touched = 0
     for _ in range(table.substeps):
         for agent in (LEFT, RIGHT):
@@ -334,34 +381,44 @@ def step_physics(bodies: np.ndarray, targets: np.ndarray, table: TableSpec) -> t
             if not (np.isfinite(goal_x) and np.isfinite(goal_y)):
                 goal_x, goal_y = bodies[agent, X], bodies[agent, Y]
             _drive_paddle(bodies[agent], agent, goal_x, goal_y, dt, table)
-        speed = hypot(puck[VX], puck[VY])
-        if speed > 0.0:
-            kept = max(0.0, 1.0 - dt * (table.drag + table.friction / speed))
-            puck[VX] *= kept
-            puck[VY] *= kept
-
-        if _out_of_reach(bodies, dt, table):
-            _advance(bodies, dt)
-            continue
-        left_over = dt
-        for _ in range(MAX_CONTACTS):
-            time, contact, post = _first_contact(bodies, table)
-            if contact == NO_CONTACT or time >= left_over:
-                _advance(bodies, left_over)
-                left_over = 0.0
-                break
-            _advance(bodies, time)
-            left_over -= time
-            if abs(puck[X]) > end:
-                break
-            if contact <= AT_RIGHT:
-                touched |= 1 << contact
-            _resolve(bodies, contact, post, table)
-        if abs(puck[X]) > end:
-            return (1 if puck[X] > 0.0 else -1), touched
-        if left_over > 0.0:  # squeezed: the paddles finish their motion, `_separate` moves the puck
-            for agent in (LEFT, RIGHT):
-                bodies[agent, X] += bodies[agent, VX] * left_over
-                bodies[agent, Y] += bodies[agent, VY] * left_over
-        _separate(bodies, table)
+        goal, hit, _ = _substep(bodies, dt, table)
+        touched |= hit
+        if goal != 0:
+            return goal, touched
     return 0, touched
+
+
+@compiled
+def _coast(bodies, dt, substeps, table):
+    """`substeps` sub-steps of `coast`."""
+    puck = bodies[PUCK]
+    for _ in range(substeps):
+        for agent in (LEFT, RIGHT):
+            _stop_at_bounds(bodies[agent], agent, bodies[agent, VX], bodies[agent, VY], dt, table)
+        in_goal, left_over = abs(puck[X]) > table.length / 2, dt
+        if not in_goal:
+            goal, _, left_over = _substep(bodies, dt, table)
+            in_goal = goal != 0
+        if in_goal:
+            puck[VX], puck[VY] = 0.0, 0.0
+            _advance_paddles(bodies, left_over)
+
+
+@compiled
+def coast(bodies: np.ndarray, seconds: float, table: TableSpec) -> None:
+    """Move n tables on by `seconds` in which nobody steers, in place.
+
+    As in `step_physics`, but the paddles keep their velocities until the bounds of their halves. A puck that enters a
+    goal stays and rests there. What is left of `seconds` after whole ticks is a shorter tick.
+
+    Args:
+        bodies: (n, 3, 4) the states, see the module's docstring.
+        seconds: >= 0.
+        table: the `TableSpec`.
+    """
+    ticks = int(seconds / table.tick + ROUNDING)
+    rest = seconds - ticks * table.tick
+    for index in range(len(bodies)):
+        _coast(bodies[index], table.tick / table.substeps, ticks * table.substeps, table)
+        if rest > ROUNDING * table.tick:
+            _coast(bodies[index], rest / table.substeps, table.substeps, table)

@@ -21,6 +21,7 @@ from airhockey_marl.envs.physics import (
     _out_of_reach,
     action_range,
     check_table,
+    coast,
     step_physics,
 )
 
@@ -246,3 +247,99 @@ def test_a_paddle_that_has_no_room_in_its_half_is_refused():
     with pytest.raises(ValueError, match=r"table\.paddle_radius = 0\.4 must be below a quarter of the table's length"):
         check_table(wide)
     assert check_table(wide._replace(length=1.7))
+
+
+# coasting: nobody steers
+
+
+def coasted(bodies, seconds, table=TABLE):
+    moved = np.array(bodies)[None]
+    coast(moved, seconds, table)
+    return moved[0]
+
+
+def at_rest(bodies):
+    still = bodies.copy()
+    still[[LEFT, RIGHT], 2:] = 0.0
+    return still
+
+
+@settings(max_examples=300)
+@given(legal_states(), st.integers(0, 25))
+def test_a_puck_coasts_as_it_moves_between_paddles_at_rest(state, ticks):
+    """In free flight, off walls, posts and paddles: the table's ticks to the bit, until it scores."""
+    bodies = at_rest(state[0])
+    moved = coasted(bodies, ticks * TABLE.tick)
+    for _ in range(ticks):
+        goal, _ = step_physics(bodies, NOWHERE, TABLE)
+        if goal:
+            assert np.array_equal(moved[PUCK], [*bodies[PUCK, :2], 0.0, 0.0])
+            return
+    assert np.array_equal(moved, bodies)
+
+
+@settings(max_examples=300)
+@given(legal_states(), st.floats(0, 0.5))
+def test_paddles_coast_to_the_bounds_of_their_halves(state, seconds):
+    bodies, _ = state
+    bodies[PUCK] = 0.0, 0.0, 0.0, 0.0
+    middle, half = action_range(TABLE)
+    expected = bodies[[LEFT, RIGHT], :2] + seconds * bodies[[LEFT, RIGHT], 2:]
+    for agent, turn in ((LEFT, 1), (RIGHT, -1)):
+        expected[agent] = np.clip(expected[agent], turn * middle - half, turn * middle + half)
+    moved = coasted(bodies, seconds, TABLE._replace(puck_radius=1e-6))
+    assume(np.hypot(*moved[PUCK, 2:]) == 0)  # nobody met the puck
+    assert np.abs(moved[[LEFT, RIGHT], :2] - expected).max() < 1e-12
+
+
+@settings(max_examples=100)
+@given(legal_states())
+def test_a_coasting_puck_passes_no_wall_and_no_paddle(state):
+    """Sampled so densely that the puck could not be beyond a paddle without having been seen in it."""
+    bodies, _ = state
+    for seconds in np.linspace(0, 0.2, 101):
+        moved = coasted(bodies, seconds)
+        x, y = moved[PUCK, :2]
+        assert abs(y) <= SIDE + 1e-9
+        assert abs(x) <= END + 1e-9 or abs(y) < TABLE.goal / 2
+        if abs(x) > TABLE.length / 2:
+            assert not moved[PUCK, 2:].any()
+            break
+        for agent in (LEFT, RIGHT):
+            assert np.hypot(*(moved[PUCK, :2] - moved[agent, :2])) >= TOUCHING - 1e-3
+
+
+@settings(max_examples=200)
+@given(legal_states(), st.floats(0, 0.3))
+def test_coasting_is_the_same_for_either_agent(state, seconds):
+    bodies, swapped = state[0], [RIGHT, LEFT, PUCK]
+    assert np.array_equal(coasted(-bodies[swapped], seconds), -coasted(bodies, seconds)[swapped])
+
+
+@settings(max_examples=200)
+@given(legal_states(), st.integers(0, 10), st.integers(0, 10), st.floats(1e-6, 0.019))
+def test_coasting_is_one_tick_after_the_other_and_a_shorter_last_one(state, first, then, rest):
+    bodies, _ = state
+    whole = coasted(bodies, (first + then) * TABLE.tick)
+    assert np.array_equal(coasted(coasted(bodies, first * TABLE.tick), then * TABLE.tick), whole)
+    shorter = coasted(bodies, first * TABLE.tick + rest)
+    expected = coasted(coasted(bodies, first * TABLE.tick), rest, TABLE._replace(tick=rest))
+    assert np.abs(shorter - expected).max() < 1e-9
+    assert np.array_equal(coasted(bodies, 0.0), bodies)
+
+
+def test_a_puck_that_coasts_into_a_goal_stays_and_the_paddles_go_on():
+    bodies = table_with((0.9, 0.0, 5.0, 0.0), left=(-0.5, 0.0))
+    bodies[LEFT, 2:] = 1.0, -0.5
+    soon, later = coasted(bodies, 0.1), coasted(bodies, 0.2)
+    substep = TABLE.tick / TABLE.substeps
+    assert 0 < soon[PUCK, X] - TABLE.length / 2 < 5.0 * substep and not soon[PUCK, 2:].any()
+    assert np.array_equal(later[PUCK], soon[PUCK])
+    assert np.allclose(soon[LEFT], (-0.4, -0.05, 1.0, -0.5)) and np.allclose(later[LEFT], (-0.3, -0.1, 1.0, -0.5))
+
+
+def test_many_tables_coast_as_each_alone():
+    bodies = np.stack([table_with((x, 0.1, -4.0, 3.0)) for x in np.linspace(-0.5, 0.5, 9)])
+    together = bodies.copy()
+    coast(together, 0.15, TABLE)
+    assert all(np.array_equal(one, coasted(alone, 0.15)) for one, alone in zip(together, bodies, strict=True))
