@@ -258,13 +258,16 @@ def _check_key(override: Override, tree: Mapping[str, Any], groups: Sequence[str
         return
     for value in _elements(override):
         if not _fits(value, node):
-            raise InputError(f"{key} = {_shown(value)} must be {KINDS[type(node)]}")
+            kind = KINDS.get(type(node)) or f"set by its keys: {', '.join(f'{key}.{name}' for name in node)}"
+            raise InputError(f"{key} = {_shown(value)} must be {kind}")
 
 
 def _fits(value: Any, default: Any) -> bool:
-    """Whether a value is of the kind of a default, which anything is where that is a list or a table."""
+    """Whether a value is of the kind of a default, which anything is where that is a list."""
     if isinstance(value, str) and "${" in value:  # a reference
         return True
+    if isinstance(default, dict):  # a text may name an entry of a registry
+        return isinstance(value, dict | str)
     if isinstance(default, str):
         return value is None or isinstance(value, str)
     if isinstance(default, float):
