@@ -2,7 +2,7 @@
 
     airhockey export                                       the last generation of the shipped league
     airhockey export model=outputs/train/.../league.safetensors generation=40
-    airhockey export model=guidance/pretrained/user.safetensors formats=[pt2]
+    airhockey export model=guidance/pretrained/now/user.safetensors formats=[pt2]
 
 Writes into its run folder: policy.onnx, policy.pt2, and export.json with what is in both as metadata: names and units
 of inputs and outputs, the file that they are of with its SHA-256, and the largest difference from the original. It is

@@ -33,7 +33,7 @@ def main(cfg: DictConfig) -> None:
     import torch
 
     from airhockey_marl.envs.physics import TableSpec
-    from guidance.study.models import load_user_model, save_user_model
+    from guidance.study.models import check_predictor, load_user_model, save_user_model
     from guidance.user_model.data import MIN_DEMONSTRATION_TICKS, Recordings
     from guidance.user_model.loss import prediction_loss
     from guidance.user_model.maml import parameters
@@ -42,6 +42,7 @@ def main(cfg: DictConfig) -> None:
 
     folder, table = output_folder(cfg), TableSpec()
     with report_input_errors():
+        check_predictor(cfg.guidance.predictor)
         model, known = load_user_model(cfg.models.meta)
         if "inner_lr" not in known:
             raise InputError(f"models.meta = {cfg.models.meta} was not meta-learned: it has no inner_lr")

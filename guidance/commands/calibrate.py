@@ -32,7 +32,6 @@ def check(cfg: DictConfig) -> None:
     require_numbers(cfg, "w_unc.optimal", "w_unc.user", "low_over_high", at_most=0.999)
     require_numbers(cfg, "stability.rule.share", "stability.rule.of_people", at_most=1.0)
     require_numbers(cfg, "stability.rule.step")
-    require_numbers(cfg, "guidance.lookahead", least=0.0, at_most=1.0)
     if not all(isinstance(seconds, float) and 0 <= seconds <= 1 for seconds in cfg.stability.lookaheads):
         raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers from 0 to 1")
 
@@ -47,13 +46,13 @@ def main(cfg: DictConfig) -> None:
     from guidance.study import calibration
     from guidance.study.games import Games, no_force, play_games
     from guidance.study.protocol import Protocol, user_and_table_states
-    from guidance.study.setup import load_models
+    from guidance.study.setup import load_lookahead, load_models
 
     with report_input_errors():
         people = training_people(cfg.seed, load_population(cfg.users))
         advisors = load_advisors(cfg.users.advisors)
         protocol = replace(construct(Protocol, cfg.study, "study"), familiarization=0)
-        models = load_models(cfg)
+        models, lookahead = load_models(cfg), load_lookahead(cfg)
         league = League.load(cfg.models.opponents)
         if cfg.opponent is not None:
             league.generation(cfg.opponent)
@@ -84,22 +83,23 @@ def main(cfg: DictConfig) -> None:
     states = play(opponent, THRESHOLD_TRIAL, demonstrations=True).demonstrations
     thresholds = {
         name: calibration.threshold(std, cfg.w_unc[name], cfg.low_over_high)
-        for name, std in calibration.predicted_std(models, states, cfg.games, cfg.guidance.lookahead).items()
+        for name, std in calibration.predicted_std(models, states, cfg.games, lookahead).items()
     }
     progress("thresholds", 1.0)
     progress.close()
     damping = people["stiffness"] * people["damping_time"] + people["device_damping"]
     player, stable = greedy_player(league.player(opponent)), {}
-    for seconds in sorted({*cfg.stability.lookaheads, cfg.guidance.lookahead}):
-        lead = calibration.target_lead(models, states, cfg.games, seconds)
+    for seconds in sorted({*cfg.stability.lookaheads, lookahead.seconds}):
+        ahead = replace(lookahead, seconds=seconds)
+        lead = calibration.target_lead(models, states, cfg.games, ahead)
         stable[seconds] = {
             "lead": round(float(lead.mean()), 4),
             "stiffness": calibration.max_stable_stiffness(lead, damping, **cfg.stability.rule),
-            "optimal_wins": round(calibration.lookahead_win_rate(models, player, seconds, cfg.seed), 3),
+            "optimal_wins": round(calibration.lookahead_win_rate(models, player, ahead, cfg.seed), 3),
         }
     values = {
         "opponent": opponent,
-        "stiffness": stable[cfg.guidance.lookahead]["stiffness"],
+        "stiffness": stable[lookahead.seconds]["stiffness"],
         "thresholds": thresholds,
         "evidence": {"opponents": trials, "stable": stable, "models": models.hashes},
     }

@@ -76,7 +76,7 @@ def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
     from guidance.haptics.texts import check_texts, flatten_texts, read_consent
     from guidance.sessions.session import SessionPlan
     from guidance.study.protocol import Protocol
-    from guidance.study.setup import load_conditions, load_opponent
+    from guidance.study.setup import load_conditions, load_lookahead, load_opponent
 
     conditions = load_conditions(cfg)
     texts = flatten_texts(OmegaConf.to_container(cfg, resolve=True))
@@ -87,7 +87,7 @@ def plan_of(cfg: DictConfig, models: Models) -> SessionPlan:
         opponent=load_opponent(cfg),
         opponent_label=f"generation {cfg.opponent}",
         protocol=construct(Protocol, cfg.study, "study"),
-        lookahead_seconds=cfg.guidance.lookahead,
+        lookahead=load_lookahead(cfg),
         participants=cfg.participants,
         seed=cfg.seed,
         consent=read_consent(Path(cfg.consent), len(conditions)),

@@ -69,7 +69,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.sessions.free_play import FreePlay
     from guidance.simulated_users import SimulatedUsers, load_advisors, load_population, sample_people
     from guidance.study.protocol import CALIBRATION_GAME, Protocol, user_and_table_states
-    from guidance.study.setup import load_conditions, load_models
+    from guidance.study.setup import load_conditions, load_lookahead, load_models
 
     with report_input_errors():
         require_counts(cfg, "width", least=MIN_WIDTH)
@@ -82,7 +82,7 @@ def main(cfg: DictConfig) -> None:
         conditions = load_conditions(cfg)
         conditions += [begin_with] * all(begin_with.name != condition.name for condition in conditions)
         choices = condition_keys(conditions)
-        models = load_models(cfg)
+        models, lookahead = load_models(cfg), load_lookahead(cfg)
         opponents = League.load(cfg.models.opponents)
         opponents.player(cfg.opponent)
         limits: SafetyLimits = construct(SafetyLimits, cfg.safety, "safety")
@@ -100,9 +100,10 @@ def main(cfg: DictConfig) -> None:
         window.overlay = cfg.overlay
         window.on_pointer, window.on_disconnect = open_device.on_pointer, open_device.on_disconnect
         seat = RealTimePlayer(open_device.hand, window, clock, table.tick, cfg.breath, person)
-        times = cfg.guidance.lookahead, protocol.round_seconds
         seat.actions = keys | {"page up": "a stronger opponent", "page down": "a weaker opponent"}
-        play = FreePlay(choices, models, opponents, cfg.opponent, *times, seat, serves, folder)
+        play = FreePlay(
+            choices, models, opponents, cfg.opponent, lookahead, protocol.round_seconds, seat, serves, folder
+        )
         with quit_on_signals():
             play.run(begin_with, cfg.seconds)
     write_text(folder / "counts.csv", play.counts().to_csv(index=False))

@@ -46,7 +46,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.simulated_users import load_population, sample_people
     from guidance.study import prediction
     from guidance.study.demonstrations import collect_demonstrations
-    from guidance.study.setup import load_models, load_play_setup
+    from guidance.study.setup import load_lookahead, load_models, load_play_setup
 
     table, sizes = TableSpec(), (cfg.demonstrations.games, cfg.demonstrations.ticks)
     with report_input_errors():
@@ -55,12 +55,12 @@ def main(cfg: DictConfig) -> None:
             raise InputError(f"minutes = {list(cfg.minutes)} must hold one of at most {most:.3g}, the play for UA")
         require_numbers(cfg, "demonstrations.ticks", above=2 * max(cfg.ahead) / table.tick)
         people = sample_people(cfg.participants, cfg.seed, load_population(cfg.users))
-        models, setup = load_models(cfg), load_play_setup(cfg)
+        models, lookahead, setup = load_models(cfg), load_lookahead(cfg), load_play_setup(cfg)
     progress = ProgressBar()
     data = collect_demonstrations(people, setup, *sizes, cfg.seed, partial(progress, "people play"))
     progress("predictions", 0.0)
     results = {
-        "ahead": prediction.errors_ahead(models, data, list(cfg.ahead), table),
+        "ahead": prediction.errors_ahead(models, data, list(cfg.ahead), table, lookahead.reading),
         "matrix": prediction.everybody_by_everybody(models, data, table).tolist(),
         "minutes": prediction.by_amount(models, data, list(cfg.minutes), table),
         "steps": prediction.by_steps(models, data, list(cfg.steps), table),

@@ -21,7 +21,11 @@ OPTIMAL, USER, ADAPTED = "optimal", "user", "adapted"  # the models: OAHG's, UPH
 
 
 class Prediction(NamedTuple):
-    """The output of a model at the looked-ahead state: mean and STD (..., 2) of the action."""
+    """The output of a model at the looked-ahead state: mean and STD (..., 2) of the action.
+
+    The mean is where the spring pulls the present hand to, see `guidance.forces.lookahead`: under the reading
+    `consistent` it is less the way that the hand makes by itself meanwhile.
+    """
 
     mean: Tensor
     std: Tensor
@@ -49,7 +53,7 @@ class Guidance(Protocol):
         Args:
             state: (..., 12) the game as the user sees it, in m and m/s, see `airhockey_marl.envs.pettingzoo_env`.
             hand: (..., 2) u, where the hand is, in units of action.
-            predictions: of each of `models`, at the looked-ahead state.
+            predictions: of each of `models`, by the look-ahead's reading: toward `mean` a spring pulls the hand `u`.
         """
         ...
 

@@ -14,7 +14,8 @@ from torch import Tensor
 def lookahead_state(state: Tensor, seconds: float) -> Tensor:
     """Moves every body along its current velocity: x_lookahead of section 3.3.
 
-    Nothing stops a body on its way: walls, contacts and friction are left out, as in the paper.
+    Nothing stops a body on its way: walls, contacts and friction are left out, as in the paper. For other readings of
+    the look-ahead see `guidance.forces.lookahead`.
 
     Args:
         state: (..., 4 * bodies), each body (x, y, vx, vy), positions and velocities in the same length unit, velocities

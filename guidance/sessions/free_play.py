@@ -13,6 +13,7 @@ from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from guidance.display.scene import WEIGHT_LABELS
 from guidance.forces.conditions import ADAPTED, Condition
+from guidance.forces.lookahead import Lookahead
 from guidance.haptics.screen import Quit
 from guidance.haptics.seat import RealTimePlayer
 from guidance.sessions.game import Game
@@ -35,7 +36,7 @@ class FreePlay:
         models: the optimal action model and the user model.
         opponents: league of possible opponents.
         opponent: generation of the first opponent.
-        lookahead_seconds: s, prediction horizon of the guidance.
+        lookahead: of the guidance.
         round_seconds: s, maximum duration of a round.
         player: the person at the device.
         serves: (1,) uint64, random number state of the serves.
@@ -48,14 +49,14 @@ class FreePlay:
         models: Models,
         opponents: League,
         opponent: int,
-        lookahead_seconds: float,
+        lookahead: Lookahead,
         round_seconds: float,
         player: RealTimePlayer,
         serves: np.ndarray,
         folder: Path,
     ) -> None:
         self.conditions, self.models, self.opponents, self.player = conditions, models, opponents, player
-        self.lookahead_seconds, self.round_seconds, self.folder = lookahead_seconds, round_seconds, folder
+        self.lookahead, self.round_seconds, self.folder = lookahead, round_seconds, folder
         self.opponent = range(len(opponents))[opponent]
         self.runner = GameRunner(player, greedy_player(opponents.player(self.opponent)), TableSpec(), serves)
         self.adapted: TensorDict | None = None
@@ -152,7 +153,7 @@ class FreePlay:
 
     def _begin(self, condition: Condition) -> None:
         self.condition, table = condition, self.runner.tables.table
-        self.forces, tap = tapped_guidance(condition, self.models, self.adapted, self.lookahead_seconds)
+        self.forces, tap = tapped_guidance(condition, self.models, self.adapted, self.lookahead)
         self.log = TickLog(tap, table.tick, self.player.hand)
         self.metrics = MetricsRecorder(self.runner)
         self._round_ticks, self._rounds, number = 0, 0, len(self.games) + 1

@@ -17,6 +17,7 @@ from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.players.players import Player
 from guidance.display.pages import Items, Page
 from guidance.forces.conditions import Condition
+from guidance.forces.lookahead import Lookahead
 from guidance.haptics.screen import DisplayState
 from guidance.haptics.seat import RealTimePlayer
 from guidance.sessions.game import UNSCORED, read_ticks
@@ -49,7 +50,7 @@ class SessionPlan:
         conditions: the nine conditions, ordered by letter.
         models: the optimal action model and the user model.
         opponent, opponent_label: the right player, and its name.
-        protocol, lookahead_seconds: as in a study with simulated people.
+        protocol, lookahead: as in a study with simulated people.
         participants: number of people for whom the order is counterbalanced.
         seed: of the order and the serves.
         consent: text shown before everything else.
@@ -64,7 +65,7 @@ class SessionPlan:
     opponent: Player
     opponent_label: str
     protocol: Protocol
-    lookahead_seconds: float
+    lookahead: Lookahead
     participants: int
     seed: int
     consent: str
@@ -189,7 +190,7 @@ class Session:
         """Play one game by the protocol, and save it round by round."""
         plan, player, table = self.plan, self.player, TableSpec()
         adapted = self.adapted if name != UNSCORED else None
-        forces, tap = tapped_guidance(condition, plan.models, adapted, plan.lookahead_seconds)
+        forces, tap = tapped_guidance(condition, plan.models, adapted, plan.lookahead)
         log = TickLog(tap, table.tick, player.hand)
         facts = scene_facts(condition, self.participant.label, plan.opponent_label, adapted is not None)
         facts |= {"device": plan.device, "questions": dict(plan.questions), "scale": list(plan.scale)}

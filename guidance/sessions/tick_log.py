@@ -18,6 +18,7 @@ from torch import Tensor
 from airhockey_marl.experiment.files import find_files, load_json
 from guidance.display.scene import STATE
 from guidance.forces.conditions import ADAPTED, OPTIMAL, USER, Condition, Guidance, GuidanceOutput, Prediction
+from guidance.forces.lookahead import Lookahead
 from guidance.haptics.hand import HapticHand
 from guidance.sessions.game import load_games, read_ticks
 from guidance.simulated_users import SimulatedUsers
@@ -66,7 +67,7 @@ def scene_facts(condition: Condition, player: str, opponent: str, adapted: bool)
 
 
 def tapped_guidance(
-    condition: Condition, models: Models, adapted: TensorDict | None, lookahead_seconds: float
+    condition: Condition, models: Models, adapted: TensorDict | None, lookahead: Lookahead
 ) -> tuple[BatchedGuidance, PredictionTap]:
     """The `BatchedGuidance` of one person under one condition, and the tap of its predictions.
 
@@ -74,7 +75,7 @@ def tapped_guidance(
         adapted: the person's own parameters of the user model, batch size (1,), or None.
     """
     tap = PredictionTap(condition.guidance, frozenset({OPTIMAL, USER if adapted is None else ADAPTED}))
-    return BatchedGuidance([replace(condition, guidance=tap)], 1, models, adapted, lookahead_seconds), tap
+    return BatchedGuidance([replace(condition, guidance=tap)], 1, models, adapted, lookahead), tap
 
 
 class TickLog:
@@ -184,7 +185,7 @@ def record_game(
         _y, in m of the hand) and the intention.
     """
     (condition,) = setup.conditions
-    guidance, tap = tapped_guidance(condition, setup.models, adapted, setup.lookahead_seconds)
+    guidance, tap = tapped_guidance(condition, setup.models, adapted, setup.lookahead)
     runner, log = GameRunner(users, setup.opponent, setup.table, serves), TickLog(tap, setup.table.tick)
     runner.new_games()
     for _ in range(max(1, round(seconds / setup.table.tick))):

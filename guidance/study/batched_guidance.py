@@ -20,6 +20,7 @@ from guidance.forces.conditions import (
     Prediction,
     SpringGuidance,
 )
+from guidance.forces.lookahead import Lookahead
 from guidance.study.models import Models
 
 MODELS = (OPTIMAL, USER, ADAPTED)
@@ -37,7 +38,7 @@ class BatchedGuidance:
         users: number of users.
         models: see `Models`.
         adapted: the users' own parameters, batch size (users,), or None if no condition has UA.
-        lookahead_seconds: T_lookahead of Eq. 4.
+        lookahead: T_lookahead of Eq. 4 and its reading.
     """
 
     def __init__(
@@ -46,10 +47,10 @@ class BatchedGuidance:
         users: int,
         models: Models,
         adapted: TensorDict | None,
-        lookahead_seconds: float,
+        lookahead: Lookahead,
     ) -> None:
         self.conditions, self.users, self.models = list(conditions), users, models
-        self.lookahead_seconds = lookahead_seconds
+        self.lookahead = lookahead
         self._all = np.arange(len(self.conditions) * users)
         self._queries = self._masks(lambda guidance: guidance.models())
         if ADAPTED in self._queries and (adapted is None or adapted.batch_size != (users,)):
@@ -114,7 +115,7 @@ class BatchedGuidance:
         if not np.array_equal(games, self._games):
             self._index_games(games)
         now, hand = (torch.from_numpy(value[games]).float() for value in (state, action))
-        targets = self._predict(now.numpy(), games)
+        targets = self._predict(now, hand, games)
         force, weight = self._pull(hand, targets)
         w_optimal, w_user, w_adapted = weight.unflatten(0, (len(MODELS), -1))
         w_user = torch.where(w_user.isnan(), w_adapted, w_user)
@@ -136,15 +137,21 @@ class BatchedGuidance:
                     total[rows] = part.float()
         return GuidanceOutput(*(part.double() for part in output))
 
-    def _predict(self, state: np.ndarray, games: np.ndarray) -> Prediction:
-        """Mean and STD (targets, 2) at the looked-ahead states of (k, 12); NaN where a game needs no such model."""
+    def _predict(self, state: Tensor, hand: Tensor, games: np.ndarray) -> Prediction:
+        """Target and STD (targets, 2) for states (k, 12) and hands (k, 2); NaN where a game needs no such model."""
         mean, std = np.full((2, len(MODELS) * len(games), 2), np.nan, dtype=np.float32)
+        ahead: dict[float, Tensor] = {}  # the looked-ahead states, by the horizon of the models
         for name, rows in self._rows.items():
             if len(rows):
-                ahead = self.models.lookahead_state(name, torch.from_numpy(state[rows]), self.lookahead_seconds)
+                horizon = self.models.horizon(name)
+                if horizon not in ahead:
+                    ahead[horizon] = self.models.lookahead_state(name, state, self.lookahead)
                 users = games[rows] % self.users if name == ADAPTED else None
                 target = MODELS.index(name) * len(games) + rows
-                mean[target], std[target] = self._inference[name](ahead.numpy(), users)
+                output, std[target] = self._inference[name](ahead[horizon].numpy()[rows], users)
+                mean[target] = self.models.target(
+                    name, hand[rows], torch.from_numpy(output), state[rows], self.lookahead
+                )
         return Prediction(torch.from_numpy(mean), torch.from_numpy(std))
 
     def _pull(self, hand: Tensor, targets: Prediction) -> tuple[Tensor, Tensor]:

@@ -11,6 +11,7 @@ from airhockey_marl.experiment.command import InputError
 from airhockey_marl.players.players import Player
 from guidance.forces.conditions import ADAPTED, OPTIMAL
 from guidance.forces.equations import uncertainty_weight
+from guidance.forces.lookahead import Lookahead
 from guidance.study.models import Models
 from guidance.user_model.maml import forward_stacked
 
@@ -39,7 +40,7 @@ def select_opponent(trials: dict[int, dict[str, float]], win_rate: list[float], 
 
 @torch.no_grad()
 def target_lead(
-    models: Models, demonstrations: list[tuple[Tensor, Tensor]], games: int, lookahead_seconds: float
+    models: Models, demonstrations: list[tuple[Tensor, Tensor]], games: int, lookahead: Lookahead
 ) -> np.ndarray:
     """Lead (users,) of UPHG's target (UA) over the hand, in s: the slope of their distance over the hand's velocity.
 
@@ -50,9 +51,10 @@ def target_lead(
     for person in range(len(adapted)):
         distances, velocities = [], []
         for observation, action in demonstrations[person * games + 1 : (person + 1) * games]:
-            anticipated = models.lookahead_state(ADAPTED, observation[1:], lookahead_seconds)
-            target = forward_stacked(models.meta, adapted[person : person + 1], anticipated[None])[0][0]
+            anticipated = models.lookahead_state(ADAPTED, observation[1:], lookahead)
+            output = forward_stacked(models.meta, adapted[person : person + 1], anticipated[None])[0][0]
             hand, velocity = action[:-1], action.diff(dim=0) / tick
+            target = models.target(ADAPTED, hand, output, observation[1:], lookahead)
             in_one_round = (observation.diff(dim=0)[:, :2].norm(dim=1) < NEW_ROUND)[:, None]
             distances.append((target - hand) * in_one_round)
             velocities.append(velocity * in_one_round)
@@ -61,14 +63,14 @@ def target_lead(
     return np.array(leads)
 
 
-def lookahead_win_rate(models: Models, opponent: Player, lookahead_seconds: float, seed: int) -> float:
+def lookahead_win_rate(models: Models, opponent: Player, lookahead: Lookahead, seed: int) -> float:
     """Share of decided rounds that the optimal action model wins when it acts on the looked-ahead state.
 
     Reported only; no parameter is set by it. It bounds what OAHG can achieve with this look-ahead.
     """
 
     def player(observation: Tensor) -> Tensor:
-        return models.optimal(models.lookahead_state(OPTIMAL, observation, lookahead_seconds))[0]
+        return models.optimal(models.lookahead_state(OPTIMAL, observation, lookahead))[0]
 
     won, lost, _ = play_rounds(player, opponent, 100, 4, seed, frame_skip=1).sum(axis=0)
     return float(won / (won + lost))
@@ -88,7 +90,7 @@ def max_stable_stiffness(lead: np.ndarray, damping: np.ndarray, share: float, of
 
 @torch.no_grad()
 def predicted_std(
-    models: Models, demonstrations: list[tuple[Tensor, Tensor]], games: int, lookahead_seconds: float
+    models: Models, demonstrations: list[tuple[Tensor, Tensor]], games: int, lookahead: Lookahead
 ) -> dict[str, Tensor]:
     """STD (ticks, 2) of the optimal and of the adapted user model.
 
@@ -99,8 +101,8 @@ def predicted_std(
     optimal, user = [], []
     for i, (observation, _) in enumerate(demonstrations):
         if i % games:
-            optimal.append(models.optimal(models.lookahead_state(OPTIMAL, observation, lookahead_seconds))[1])
-            anticipated = models.lookahead_state(ADAPTED, observation, lookahead_seconds)
+            optimal.append(models.optimal(models.lookahead_state(OPTIMAL, observation, lookahead))[1])
+            anticipated = models.lookahead_state(ADAPTED, observation, lookahead)
             user.append(forward_stacked(models.meta, adapted[i // games : i // games + 1], anticipated[None])[1][0])
     return {"optimal": torch.cat(optimal), "user": torch.cat(user)}
 

@@ -15,10 +15,19 @@ from airhockey_marl.league.league import League
 from airhockey_marl.league.league import load_model as load_user_model
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.forces.conditions import OPTIMAL
-from guidance.forces.equations import lookahead_state
+from guidance.forces.lookahead import Lookahead, moved_state
 from guidance.user_model.data import action_ahead
 from guidance.user_model.maml import parameters
 from guidance.user_model.training import adapt_to_user
+
+SHIPPED = Path(__file__).parents[1] / "pretrained"  # user models, in a folder per predictor
+
+
+def check_predictor(name: str) -> None:
+    """Raise a ValueError if there are no shipped user models of this name."""
+    there = sorted(file.parent.name for file in SHIPPED.glob("*/meta.safetensors"))
+    if name not in there:
+        raise ValueError(f"guidance.predictor = {name} must be one of {', '.join(there)}")
 
 
 def save_user_model(path: Path | str, model: GaussianPolicy, facts: dict) -> None:
@@ -94,6 +103,17 @@ class Models:
             adapted.append(adapt_to_user(self.meta, theta, x[None], then[None], self.inner_lr))
         return torch.cat(adapted)
 
-    def lookahead_state(self, model: str, state: Tensor, seconds: float) -> Tensor:
-        """The looked-ahead state of Eq. 4 for one of the models, less the model's own prediction horizon."""
-        return lookahead_state(state, seconds if model == OPTIMAL else max(seconds - self.ahead, 0.0))
+    def horizon(self, model: str) -> float:
+        """Seconds from a state to the action that a model predicts for it."""
+        return 0.0 if model == OPTIMAL else self.ahead
+
+    def lookahead_state(self, model: str, state: Tensor, lookahead: Lookahead) -> Tensor:
+        """The looked-ahead state (..., 12) of Eq. 4 for one of the models, less the model's own horizon."""
+        return moved_state(state, max(lookahead.seconds - self.horizon(model), 0.0), lookahead.reading)
+
+    def target(self, model: str, hand: Tensor, mean: Tensor, state: Tensor, lookahead: Lookahead) -> Tensor:
+        """The target of the spring toward a model's output, see `Lookahead.target`.
+
+        Its moment is the state's and the model's own horizon: T_lookahead, or the horizon if that is longer.
+        """
+        return lookahead.target(hand, mean, state, max(lookahead.seconds, self.horizon(model)))

@@ -25,12 +25,17 @@ EVERY = 3  # every so many-th tick, where everybody's model predicts everybody
 
 
 @torch.no_grad()
-def errors_ahead(models: Models, data: Demonstrations, ahead: list[float], table: TableSpec) -> list[dict]:
-    """A row per predictor and time ahead: `prediction_metrics` and the gain over extrapolation, with intervals."""
+def errors_ahead(
+    models: Models, data: Demonstrations, ahead: list[float], table: TableSpec, reading: str
+) -> list[dict]:
+    """A row per predictor and time ahead: `prediction_metrics` and the gain over extrapolation, with intervals.
+
+    Beyond their own horizon models are evaluated at the state that a `reading` of the look-ahead moves on.
+    """
     results: dict[tuple[str, float], list[dict[str, float]]] = {}
     for observation, action in zip(data.observation, data.action, strict=True):
         everybody = predictors(
-            models.user, models.meta, models.inner_lr, observation[0], action[0], table, models.ahead
+            models.user, models.meta, models.inner_lr, observation[0], action[0], table, models.ahead, reading
         )
         for name, predictor in everybody.items():
             for seconds in ahead:

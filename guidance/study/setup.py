@@ -15,16 +15,16 @@ from omegaconf import DictConfig, OmegaConf
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.files import sha256
 from airhockey_marl.experiment.registry import construct
-from airhockey_marl.experiment.validation import check_numbers
 from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from airhockey_marl.players.players import Player
 from guidance.forces.condition_specs import ConditionSpec, select_specs
 from guidance.forces.conditions import Condition, GuidanceSettings, build_condition
+from guidance.forces.lookahead import Lookahead
 from guidance.simulated_users import Advisors, SimulatedUsers, load_advisors
 from guidance.simulated_users.force_response import check_variant
 from guidance.study.metrics import EXTRA_METRICS
-from guidance.study.models import Models
+from guidance.study.models import Models, check_predictor
 from guidance.study.protocol import Protocol
 
 FROZEN = Path(__file__).parent / "frozen.json"  # study_hash and seed of the study
@@ -60,7 +60,7 @@ class StudySetup(PlaySetup):
     Attributes:
         conditions: the conditions that are played.
         models: the models of the guidances.
-        lookahead_seconds: T_lookahead of Eq. 4.
+        lookahead: T_lookahead of Eq. 4 and its reading.
         protocol: the course of a game.
         rating_scales: the scale of each signal of the rating proxies.
         extra_metrics: names of metrics of plug-ins, measured beside the paper's four.
@@ -68,7 +68,7 @@ class StudySetup(PlaySetup):
 
     conditions: Sequence[Condition]
     models: Models
-    lookahead_seconds: float
+    lookahead: Lookahead
     protocol: Protocol
     rating_scales: Mapping[str, float]
     extra_metrics: tuple[str, ...] = ()
@@ -95,7 +95,7 @@ def load_setup(cfg: DictConfig) -> StudySetup:
         **vars(load_play_setup(cfg, device)),
         conditions=load_conditions(cfg),
         models=load_models(cfg, device),
-        lookahead_seconds=cfg.guidance.lookahead,
+        lookahead=load_lookahead(cfg),
         protocol=construct(Protocol, cfg.study, "study"),
         rating_scales=OmegaConf.to_container(cfg.users.scales),
         extra_metrics=metrics,
@@ -109,14 +109,19 @@ def condition_specs(cfg: DictConfig, warn: Callable[[str], None] = lambda text: 
 
 def load_conditions(cfg: DictConfig) -> list[Condition]:
     """The conditions of `condition_specs`, ready to be played."""
-    check_numbers(0.0, at_most=1.0, **{"guidance.lookahead": cfg.guidance.lookahead})
     settings = GuidanceSettings.from_config(cfg.guidance)
     specs = condition_specs(cfg, lambda text: print(f"note: {text}", file=sys.stderr))
     return [build_condition(spec, settings) for spec in specs]
 
 
+def load_lookahead(cfg: DictConfig) -> Lookahead:
+    """The look-ahead of the configuration."""
+    return construct(Lookahead, cfg.guidance.lookahead, "guidance.lookahead")
+
+
 def load_models(cfg: DictConfig, device: str = "cpu") -> Models:
     """The models of the configuration, evaluated on `device`."""
+    check_predictor(cfg.guidance.predictor)
     files = cfg.models
     return Models.load(files.league, files.get("generation", -1), files.user, files.meta, device)
 

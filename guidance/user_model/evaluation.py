@@ -14,9 +14,9 @@ from scipy import stats
 from tensordict import TensorDict
 from torch import Tensor, nn
 
-from airhockey_marl.envs.physics import TableSpec, action_range
+from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.validation import as_tensor
-from guidance.forces.equations import lookahead_state
+from guidance.forces.lookahead import PRINTED, moved_state, paddle_as_action
 from guidance.user_model.data import Samples, action_ahead, round_starts
 from guidance.user_model.maml import forward, parameters
 from guidance.user_model.training import adapt_to_user
@@ -24,12 +24,6 @@ from guidance.user_model.training import adapt_to_user
 # Observations (ticks, 12) and a horizon in seconds -> mean and STD (ticks, 2) of the action at that horizon.
 Predictor = Callable[[Tensor, float], tuple[Tensor, Tensor]]
 SIGMAS = {1: 1 - math.exp(-0.5), 2: 1 - math.exp(-2.0)}  # share of a two-dimensional Gaussian within n STDs
-
-
-def paddle_as_action(observation: Tensor, table: TableSpec) -> tuple[Tensor, Tensor]:
-    """Position (..., 2) of the own paddle in units of action, and its velocity (..., 2) per second."""
-    middle, half = (torch.tensor(part, dtype=observation.dtype) for part in action_range(table))
-    return (observation[..., 0:2] - middle) / half, observation[..., 2:4] / half
 
 
 def persistence(observation: Tensor, action: Tensor, table: TableSpec) -> Predictor:
@@ -75,9 +69,14 @@ def _with_empirical_std(
     return predict
 
 
-def model_predictor(model: Callable[[Tensor], tuple[Tensor, Tensor]], ahead: float = 0.0) -> Predictor:
-    """Predict with a model of the action `ahead` s after a state, applied to the looked-ahead state as in Eq. 4."""
-    return lambda observation, seconds: model(lookahead_state(observation, max(seconds - ahead, 0.0)))
+def model_predictor(
+    model: Callable[[Tensor], tuple[Tensor, Tensor]], ahead: float = 0.0, reading: str = PRINTED
+) -> Predictor:
+    """Predict with a model of the action `ahead` s after a state, applied to the looked-ahead state as in Eq. 4.
+
+    `reading`: how the state is moved, see `guidance.forces.lookahead`.
+    """
+    return lambda observation, seconds: model(moved_state(observation, max(seconds - ahead, 0.0), reading))
 
 
 def adapted_model(meta: nn.Module, adapted: TensorDict) -> Callable[[Tensor], tuple[Tensor, Tensor]]:
@@ -93,6 +92,7 @@ def predictors(
     action: Tensor,
     table: TableSpec,
     ahead: float = 0.0,
+    reading: str = PRINTED,
 ) -> dict[str, Predictor]:
     """All predictors of one person, given one game of theirs: two baselines, and the models before and after UA.
 
@@ -102,6 +102,7 @@ def predictors(
         lr: its inner learning rate.
         observation, action: the game.
         ahead: s, the horizon of both models.
+        reading: see `model_predictor`.
     """
     observation, action = as_tensor("observation", observation, 12), as_tensor("action", action, 2)
     target = action_ahead(observation, action, ahead, table)
@@ -109,9 +110,9 @@ def predictors(
     return {
         "persistence": persistence(observation, action, table),
         "extrapolation": extrapolation(observation, action, table),
-        "supervised": model_predictor(user, ahead),
-        "before_ua": model_predictor(meta, ahead),
-        "after_ua": model_predictor(adapted_model(meta, adapted), ahead),
+        "supervised": model_predictor(user, ahead, reading),
+        "before_ua": model_predictor(meta, ahead, reading),
+        "after_ua": model_predictor(adapted_model(meta, adapted), ahead, reading),
     }
 
 

@@ -12,6 +12,7 @@ from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
 from guidance.display.window import Window
+from guidance.forces.lookahead import Lookahead
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
 from guidance.haptics.screen import WallClock
@@ -50,7 +51,7 @@ def seat_punctuality(seconds: float = 20.0) -> dict[str, float]:
     seat.hand.push = lambda force, is_held=True: (pushes.append(clock.now()), push(force, is_held))
     try:
         with tempfile.TemporaryDirectory() as folder:
-            how = 0.1, 60.0, seat, spawn_rng_states(0, [0], 0, 1), Path(folder)
+            how = Lookahead(0.1), 60.0, seat, spawn_rng_states(0, [0], 0, 1), Path(folder)
             play = FreePlay(conditions, models, League.load(cfg.models.opponents), cfg.opponent, *how)
             play.adapted = models.adapted_to([(torch.randn(500, 12), torch.randn(500, 2))])
             play.run(conditions["i"], seconds)

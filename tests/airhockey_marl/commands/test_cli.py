@@ -209,7 +209,14 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
         ("evaluate", "participants=0", "participants = 0 must be a whole number of at least 1"),
         ("evaluate", "guidance.spring.stiffness=-50", "stiffness = -50"),
         ("evaluate", "guidance.thresholds.user.low=0.9", "low = 0.9"),
-        ("evaluate", "guidance.lookahead=-1", "lookahead = -1"),
+        (
+            "evaluate",
+            "guidance.lookahead.seconds=-1",
+            "lookahead.seconds = -1 must be a finite number of at least 0",
+        ),
+        ("evaluate", "guidance.lookahead.reading=both", "reading = both must be one of printed, physics, consistent"),
+        ("evaluate", "guidance.predictor=never", "guidance.predictor = never must be one of "),
+        ("prediction_report", "guidance.predictor=never", "guidance.predictor = never must be one of "),
         ("evaluate", "users.variant=V9", "users.variant = 'V9'"),
         ("evaluate", "study.rounds=0", "study.rounds = 0"),
         ("evaluate", "opponent=1000", "generation = 1000"),
@@ -276,7 +283,7 @@ def test_models_of_another_kind_or_broken_are_refused(capsys, tmp_path):
         (f"models.meta={broken}", "is not a safetensors file"),
         (f"models.meta={other}", "the model has"),
         (f"models.league={other}", "the model has"),
-        ("models.meta=guidance/pretrained/user.safetensors", "not meta-learned"),
+        ("models.meta=guidance/pretrained/now/user.safetensors", "not meta-learned"),
     ]
     for argument, message in cases:
         assert message in complaint(capsys, tmp_path, "evaluate", argument)

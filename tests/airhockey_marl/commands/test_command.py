@@ -86,7 +86,12 @@ def test_completion_knows_groups_and_keys():
         ("evaluate", "participants=3.5", "participants = 3.5 must be a whole number"),
         ("evaluate", "participants=null", "participants = null must be a whole number"),
         ("report", "mixed=1", "mixed = 1 must be true or false"),
-        ("evaluate", "guidance.lookahead=far", "guidance.lookahead = far must be a number"),
+        ("evaluate", "guidance.lookahead.seconds=far", "guidance.lookahead.seconds = far must be a number"),
+        (
+            "evaluate",
+            "guidance.lookahead=0.1",
+            "guidance.lookahead = 0.1 must be set by its keys: guidance.lookahead.seconds, guidance.lookahead.reading",
+        ),
         ("evaluate", "seed='${nowhere}'", "seed: Interpolation key 'nowhere' not found"),
         ("evaluate", "conditon=oahg", "conditon = oahg: no such key; did you mean condition?"),
         ("evaluate", "guidance.lookahed=0", "guidance.lookahed = 0: no such key; did you mean guidance.lookahead?"),

@@ -17,7 +17,7 @@ from airhockey_marl.players import export
 from guidance import pretrained as user_models
 from guidance.study.models import save_user_model
 
-LEAGUE, USER = pretrained.FOLDER / "league.safetensors", user_models.FOLDER / "user.safetensors"
+LEAGUE, USER = pretrained.FOLDER / "league.safetensors", user_models.FOLDER / "now" / "user.safetensors"
 OBSERVATION = torch.randn(7, 12, generator=torch.Generator().manual_seed(1))
 
 

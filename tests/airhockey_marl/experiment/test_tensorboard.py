@@ -116,7 +116,8 @@ def test_the_hparams_page_of_all_runs_has_every_commands_settings_and_scores(run
     tags = gathered.hparams_metadata(RequestContext(), "")
     page = gathered.experiment_from_metadata(RequestContext(), "", True, tags, None)
     settings = [info.name for info in page.hparam_infos]
-    assert settings[:2] == ["hidden", "seed"] and {"gamma", "maml.inner_lr", "guidance.lookahead"} <= set(settings)
+    assert settings[:2] == ["hidden", "seed"]
+    assert {"gamma", "maml.inner_lr", "guidance.lookahead.seconds"} <= set(settings)
     metrics = {metric.name.tag for metric in page.metric_infos}
     assert metrics == {tag for name in SCORED for tag in events_of(runs / name, SCORES).Tags()["scalars"]}
     assert {"score/against_striker", "score/after_ua_loss", "score/replicated"} <= metrics

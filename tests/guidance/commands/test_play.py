@@ -22,6 +22,7 @@ from airhockey_marl.experiment.command import run as start_command
 from airhockey_marl.league.league import League
 from guidance.commands import watch
 from guidance.commands.play import KEYS, condition_keys
+from guidance.forces.lookahead import READINGS, Lookahead
 from guidance.haptics.devices.pointer import Mouse
 from guidance.haptics.devices.simulated import Simulated
 from guidance.haptics.safety import SafetyLimits
@@ -40,6 +41,7 @@ from guidance.user_model.recordings import read_recordings
 from tests.processes import Command, start
 
 TABLE = TableSpec()
+LOOKAHEAD = Lookahead(0.1)
 
 
 class Keys(NullDisplay):
@@ -66,7 +68,14 @@ def shipped():
     return models, conditions, League.load(cfg.models.opponents)
 
 
-def played(shipped, folder: Path, seconds: float, *pressed: tuple[int, str], seed: int = 3) -> tuple[FreePlay, Keys]:
+def played(
+    shipped,
+    folder: Path,
+    seconds: float,
+    *pressed: tuple[int, str],
+    seed: int = 3,
+    lookahead: Lookahead = LOOKAHEAD,
+) -> tuple[FreePlay, Keys]:
     models, conditions, opponents = shipped
     clock = SimulatedClock()
     person = SimulatedUsers(sample_people(1, seed), spawn_rng_states(seed, [0], 0, 0), TABLE)
@@ -74,7 +83,7 @@ def played(shipped, folder: Path, seconds: float, *pressed: tuple[int, str], see
     seat = RealTimePlayer(
         InProcessServo(Simulated(person), SafetyLimits()), screen, clock, TABLE.tick, breath=0.0, person=person
     )
-    game = FreePlay(conditions, models, opponents, 55, 0.1, 60.0, seat, spawn_rng_states(seed, [0], 0, 1), folder)
+    game = FreePlay(conditions, models, opponents, 55, lookahead, 60.0, seat, spawn_rng_states(seed, [0], 0, 1), folder)
     game.run(conditions["1"], seconds)
     return game, screen
 
@@ -103,6 +112,16 @@ def test_keys_choose_guidances_and_every_stretch_is_a_recording(shipped, tmp_pat
     assert list(counts["position"]) == list(range(1, len(tables) + 1)) and set(counts["condition"]) <= set(CONDITIONS)
     assert counts[["rounds_won", "rounds_lost", "rounds_undecided"]].sum(axis=1).equals(summary["rounds"].astype(int))
     assert (counts["shots_stopped"] / counts["shots_faced"]).equals(summary["defense_rate"])
+
+
+@pytest.mark.parametrize("reading", READINGS)
+def test_what_is_recorded_agrees_under_every_reading(shipped, tmp_path, reading):
+    """Hand, target and force of the record are those of Eq. 4."""
+    game, _ = played(shipped, tmp_path, 2.0, (1, "2"), lookahead=Lookahead(0.1, reading))
+    ticks, spring = read_ticks(game.games["02oahg"].file), shipped[1]["2"].guidance.spring
+    pairs = (ticks[[f"{name}_x", f"{name}_y"]] for name in ("hand", "optimal", "force"))
+    hand, target, force = (torch.tensor(pair.to_numpy()) for pair in pairs)
+    assert torch.allclose(force, spring.force(hand / spring.reach, target), atol=1e-5) and len(ticks) > 90
 
 
 def test_every_condition_has_a_key_that_exists():
@@ -166,13 +185,13 @@ def test_a_mouse_plays_where_it_points(shipped, tmp_path):
     models, conditions, opponents = shipped
     clock, mouse = SimulatedClock(), Mouse()
     seat = RealTimePlayer(InProcessServo(mouse, SafetyLimits()), NullDisplay(), clock, TABLE.tick, breath=0.0)
-    game = FreePlay(conditions, models, opponents, 0, 0.1, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path)
+    game = FreePlay(conditions, models, opponents, 0, LOOKAHEAD, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path)
     mouse.point(0.03, -0.06)
     game.run(conditions["1"], 1.0)
     ticks = read_ticks(game.games["01nhg"].file)
     assert np.allclose(ticks[["action_x", "action_y"]].iloc[-1], [0.4, -0.8], atol=1e-6)
     game = FreePlay(
-        conditions, models, opponents, 0, 0.1, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path / "pushed"
+        conditions, models, opponents, 0, LOOKAHEAD, 60.0, seat, spawn_rng_states(1, [0], 0, 1), tmp_path / "pushed"
     )
     game.run(conditions["2"], 4.0)
     ticks = read_ticks(game.games["01oahg"].file)

@@ -30,6 +30,7 @@ from guidance.forces.conditions import (
     Thresholds,
 )
 from guidance.forces.equations import uncertainty_weight
+from guidance.forces.lookahead import READINGS, Lookahead
 from guidance.sessions.tick_log import ACTION, STATE, record_game
 from guidance.simulated_users import NO_ADVISORS, SimulatedUsers, sample_people
 from guidance.simulated_users.arm import HAND_REACH
@@ -39,6 +40,7 @@ from guidance.study.protocol import Protocol, spawn_rng_states
 from guidance.study.setup import StudySetup
 
 TABLE, SPRING = TableSpec(), Spring(50.0, 3.0, HAND_REACH)
+LOOKAHEAD = Lookahead(0.1)
 NHG = Condition(ConditionSpec("nhg", "a", "NHG"), NoGuidance())
 OAHG = Condition(ConditionSpec("oahg", "b", "OAHG (vanilla)"), SpringGuidance("optimal", SPRING))
 SCENE = FilmInfo(TABLE, "OAHG (vanilla)", "simulated striker", "generation 25", frozenset({"optimal"}), False, 800)
@@ -67,11 +69,17 @@ def absent(observation: torch.Tensor) -> torch.Tensor:
     return 0.1 * observation[:, 8:10] - 1.0
 
 
-def play(models: Models, condition: Condition, seconds: float = 1.0, against: Player = opponent) -> pd.DataFrame:
+def play(
+    models: Models,
+    condition: Condition,
+    seconds: float = 1.0,
+    against: Player = opponent,
+    lookahead: Lookahead = LOOKAHEAD,
+) -> pd.DataFrame:
     users = SimulatedUsers(sample_people(1, 3), spawn_rng_states(3, [0], 0, 0), TABLE)
     protocol = Protocol(0, 1, 0, 0, 60)
     play = {"opponent": against, "variant": "comply_or_resist", "advisors": NO_ADVISORS, "table": TABLE}
-    course = {"lookahead_seconds": 0.1, "protocol": protocol, "rating_scales": {}}
+    course = {"lookahead": lookahead, "protocol": protocol, "rating_scales": {}}
     setup = StudySetup(conditions=[condition], models=models, **course, **play)
     return record_game(users, setup, None, spawn_rng_states(3, [0], 0, 1), seconds)
 
@@ -146,8 +154,9 @@ def test_the_log_is_the_game_of_the_study(models):
     assert 0 < ticks[["won", "lost"]].iloc[-1].sum() == ticks["goal"].abs().sum() == ticks["round"].iloc[-1] - 1
 
 
-def test_the_force_in_the_log_follows_from_hand_and_target_in_the_log(models):
-    ticks = play(models, OAHG)
+@pytest.mark.parametrize("reading", READINGS)
+def test_the_force_in_the_log_follows_from_hand_and_target_in_the_log(models, reading):
+    ticks = play(models, OAHG, lookahead=Lookahead(0.1, reading))
     pairs = {name: torch.tensor(ticks[[f"{name}_x", f"{name}_y"]].to_numpy()) for name in ("hand", "optimal", "force")}
     assert ticks["round"].iloc[-1] == 1
     expected = SPRING.force(pairs["hand"] / HAND_REACH, pairs["optimal"])

@@ -6,7 +6,7 @@ import shutil
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.experiment.command import CONF
 from guidance.forces import condition_specs
@@ -133,8 +133,15 @@ def test_wrong_values_are_named(make, message):
         make()
 
 
+def guidance_config() -> DictConfig:
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("evaluate").guidance
+    OmegaConf.set_struct(cfg, False)
+    return cfg
+
+
 def settings() -> GuidanceSettings:
-    return GuidanceSettings.from_config(OmegaConf.load(CONF / "guidance" / "default.yaml"))
+    return GuidanceSettings.from_config(guidance_config())
 
 
 def test_a_yaml_is_all_it_takes_to_add_a_condition():
@@ -274,7 +281,7 @@ def test_blending_gives_the_force_of_the_one_that_knows():
 
 
 def test_settings_without_thresholds_are_refused():
-    config = OmegaConf.load(CONF / "guidance" / "default.yaml")
+    config = guidance_config()
     del config.thresholds["user"]
     with pytest.raises(ValueError, match=r"guidance\.thresholds\.user is missing"):
         GuidanceSettings.from_config(config)

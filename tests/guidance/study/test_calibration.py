@@ -7,11 +7,12 @@ import pytest
 import torch
 from omegaconf import OmegaConf
 
-from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.envs.physics import TableSpec, action_range
 from airhockey_marl.experiment.command import InputError, run
 from airhockey_marl.players.networks import GaussianPolicy
 from guidance.commands import calibrate
 from guidance.forces.equations import uncertainty_weight
+from guidance.forces.lookahead import Lookahead
 from guidance.study.calibration import max_stable_stiffness, select_opponent, target_lead, threshold
 from guidance.study.models import Models
 
@@ -48,10 +49,11 @@ def test_the_lead_of_a_model_that_extrapolates_is_its_look_ahead():
     """A hand that its paddle follows at once, and a model that says: where the paddle is."""
     table, tick = TableSpec(), TableSpec().tick
     at = 0.5 * torch.sin(torch.arange(2000)[:, None] * torch.tensor([[0.02, 0.03]]))
-    half = torch.tensor([table.length / 4 - table.paddle_radius, table.width / 2 - table.paddle_radius])
-    paddle = at * half
+    middle, half = (torch.tensor(part, dtype=torch.float32) for part in action_range(table))
+    paddle = middle + at * half
     observation = torch.zeros(2000, 12)
-    observation[1:, :2], observation[1:, 2:4] = paddle[:-1], paddle.diff(dim=0) / tick
+    observation[:, 4], observation[:, 8] = table.length / 4, 0.9 * table.length / 2  # out of the way
+    observation[0, :2], observation[1:, :2], observation[1:, 2:4] = middle, paddle[:-1], paddle.diff(dim=0) / tick
     linear = GaussianPolicy([4])
     with torch.no_grad():  # four ReLUs for plus and minus x and y; the mean is their difference
         for parameter in linear.parameters():
@@ -60,10 +62,13 @@ def test_the_lead_of_a_model_that_extrapolates_is_its_look_ahead():
             linear.layers[0].weight[2 * axis, axis], linear.layers[0].weight[2 * axis + 1, axis] = 1.0, -1.0
             scale = linear.inputs.scale[axis] / half[axis]
             linear.head.weight[axis, 2 * axis], linear.head.weight[axis, 2 * axis + 1] = scale, -scale
+            linear.head.bias[axis] = -middle[axis] / half[axis]
     models = Models(linear, linear, linear, 1e-9, {})
     for seconds in (0.0, 0.1):
-        (lead,) = target_lead(models, [(observation, at)] * 2, 2, seconds)
+        (lead,) = target_lead(models, [(observation, at)] * 2, 2, Lookahead(seconds))
         assert lead == pytest.approx(seconds, abs=2e-3)
+        (lead,) = target_lead(models, [(observation, at)] * 2, 2, Lookahead(seconds, "consistent"))
+        assert lead == pytest.approx(0.0, abs=2e-3)  # such a spring does not push along the motion
 
 
 def test_the_command_writes_what_it_found_and_what_it_rests_on(monkeypatch, tmp_path, capsys):

@@ -16,6 +16,7 @@ from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.players import greedy
 from guidance.forces.condition_specs import ConditionSpec
 from guidance.forces.conditions import CombinedGuidance, Condition, NoGuidance, Spring, SpringGuidance, Thresholds
+from guidance.forces.lookahead import Lookahead
 from guidance.simulated_users import NO_ADVISORS, SimulatedUsers, sample_people
 from guidance.statistics.codebook import tables_beside
 from guidance.study.batched_guidance import BatchedGuidance
@@ -59,7 +60,7 @@ def opponent(observation: torch.Tensor) -> torch.Tensor:
 
 def setup_of(models, conditions, protocol=SHORT) -> StudySetup:
     play = {"opponent": opponent, "variant": "comply_or_resist", "advisors": NO_ADVISORS}
-    models_and_course = {"models": models, "lookahead_seconds": 0.1, "protocol": protocol}
+    models_and_course = {"models": models, "lookahead": Lookahead(0.1), "protocol": protocol}
     return StudySetup(conditions=conditions, **models_and_course, **play, rating_scales=SCALES)
 
 
@@ -213,7 +214,7 @@ def test_guidance_really_guides():
 
     def mean_action(condition):
         users = SimulatedUsers(people, spawn_rng_states(0, range(n), 0, 0))
-        guide = BatchedGuidance([condition], n, models, None, 0.1)
+        guide = BatchedGuidance([condition], n, models, None, Lookahead(0.1))
         protocol = Protocol(0, 1, 0, 0, 20)
         games = play_games(users, opponent, guide, protocol, TableSpec(), spawn_rng_states(0, range(n), 0, 1), True)
         return torch.cat([action for _, action in games.demonstrations]).mean(0)
@@ -224,7 +225,7 @@ def test_guidance_really_guides():
 
 def test_batched_guidance_is_ordered_by_condition_then_user(models):
     guide = BatchedGuidance(
-        [NHG, OAHG, COMBHG], 4, models, models.adapted_to([(torch.randn(9, 12), torch.randn(9, 2))] * 4), 0.0
+        [NHG, OAHG, COMBHG], 4, models, models.adapted_to([(torch.randn(9, 12), torch.randn(9, 2))] * 4), Lookahead(0.0)
     )
     state, action = np.random.default_rng(0).normal(size=(2, 12, 12))
     action = action[:, :2]
@@ -240,7 +241,7 @@ def test_adapted_parameters_are_required_by_ua():
     torch.manual_seed(0)
     model = GaussianPolicy([4])
     with pytest.raises(ValueError, match="adapted"):
-        BatchedGuidance([UPHG_UA], 2, Models(model, model, model, 0.1, {}), None, 0.1)
+        BatchedGuidance([UPHG_UA], 2, Models(model, model, model, 0.1, {}), None, Lookahead(0.1))
 
 
 @pytest.mark.parametrize("conditions", [2, 4, 9])

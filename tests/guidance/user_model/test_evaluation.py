@@ -16,6 +16,7 @@ from airhockey_marl.envs.physics import TableSpec, action_range
 from airhockey_marl.experiment.command import run
 from airhockey_marl.experiment.plotting import save_png
 from guidance.commands import prediction_report
+from guidance.forces.lookahead import READINGS
 from guidance.study import prediction
 from guidance.study.models import Models
 from guidance.user_model.data import Demonstrations
@@ -105,6 +106,16 @@ def test_a_model_predicts_from_the_lookahead_state():
     place, velocity = observation[:, 0:2], observation[:, 2:4]
     mean, _ = model_predictor(lambda seen: (seen[..., 0:2], seen[..., 0:2]))(observation, 0.2)
     assert torch.allclose(mean, place + 0.2 * velocity)
+
+
+def test_ahead_of_time_the_state_is_moved_by_the_reading():
+    """A paddle on its way to the wall is there under physics, and through it as printed."""
+    observation = torch.zeros(1, 12)
+    observation[0, :4], observation[0, 4], observation[0, 8] = torch.tensor([-0.8, 0.0, -2.0, 0.0]), 0.5, 0.1
+    model = lambda seen: (seen[..., 0:2], seen[..., 0:2])  # noqa: E731
+    found = {reading: model_predictor(model, 0.1, reading)(observation, 0.3)[0][0, 0].item() for reading in READINGS}
+    wall = -TABLE.length / 2 + TABLE.paddle_radius
+    assert found == pytest.approx({"printed": -1.2, "physics": wall, "consistent": wall})
 
 
 def test_adaptation_lowers_the_loss_on_its_game():
@@ -225,7 +236,7 @@ def test_intervals_of_diverged_models_warn_of_nothing():
         ("participants=1", "participants = 1 must be a whole number of at least 2"),
         ("ahead=[-1]", "ahead = [-1] must be numbers of at least 0.0"),
         ("minutes=[99]", "minutes = [99] must hold one of at most"),
-        ("models.meta=guidance/pretrained/user.safetensors", "was not meta-learned"),
+        ("models.meta=guidance/pretrained/now/user.safetensors", "was not meta-learned"),
     ],
 )
 def test_wrong_values_are_named(argument, message, monkeypatch, tmp_path, capsys):

@@ -332,7 +332,7 @@ def test_the_adapted_model_is_that_of_user_adaptation_and_is_a_user_model_of_eve
     models = pretrained.models()
     adapted = models.adapted_to([(data.observation[1, 0], data.action[1, 0])])[0].flatten_keys(".")
     league = ROOT / "airhockey_marl/pretrained/league.safetensors"
-    own = Models.load(league, -1, tmp_path / "run" / "user.safetensors", FOLDER / "meta.safetensors").user
+    own = Models.load(league, -1, tmp_path / "run" / "user.safetensors", FOLDER / "now" / "meta.safetensors").user
     assert all(torch.allclose(tensor, adapted[name], atol=1e-6) for name, tensor in own.named_parameters())
 
 
@@ -343,7 +343,11 @@ def test_the_adapted_model_is_that_of_user_adaptation_and_is_a_user_model_of_eve
         (["participant=bert"], "participant = bert must be one of Xanthippe, Bert"),
         (["participant=Bert", "steps=0"], "steps = 0 must be a whole number of at least 1"),
         (["participant=Bert", "inner_lr=1e300"], "inner_lr = 1e+300, steps = 1: the adapted model's loss is"),
-        (["participant=Bert", f"models.meta={FOLDER}/user.safetensors"], "was not meta-learned: it has no inner_lr"),
+        (["participant=Bert", "guidance.predictor=never"], "guidance.predictor = never must be one of "),
+        (
+            ["participant=Bert", f"models.meta={FOLDER}/now/user.safetensors"],
+            "not meta-learned: it has no inner_lr",
+        ),
     ],
 )
 def test_adapt_refuses_by_name(table, tmp_path, capsys, arguments, message):
