@@ -68,6 +68,7 @@ def main(cfg: DictConfig) -> None:
     from guidance.haptics.seat import RealTimePlayer
     from guidance.sessions.free_play import FreePlay
     from guidance.simulated_users import SimulatedUsers, load_advisors, load_population, sample_people
+    from guidance.simulated_users.adaptation import is_on
     from guidance.study.protocol import CALIBRATION_GAME, Protocol, user_and_table_states
     from guidance.study.setup import load_conditions, load_lookahead, load_models
 
@@ -90,7 +91,8 @@ def main(cfg: DictConfig) -> None:
         person = None
         if cfg.device.kind == "simulated":
             people, advisors = sample_people(1, cfg.seed, load_population(cfg.users)), load_advisors(cfg.users.advisors)
-            person = SimulatedUsers(people, minds, TableSpec(), cfg.users.variant, advisors)
+            how = cfg.users.variant, advisors, is_on(cfg.users.adaptation)
+            person = SimulatedUsers(people, minds, TableSpec(), *how)
     folder, clock, table = output_folder(cfg), WallClock(), TableSpec()
     keys = {key: f"({condition.letter}) {condition.label}" for key, condition in choices.items()} | KEYS
     with (

@@ -36,7 +36,7 @@ def main(cfg: DictConfig) -> None:
     with report_input_errors():
         population, setup = load_population(cfg.users), load_play_setup(cfg)
     people = sample_people(cfg.laboratory, cfg.seed, population)
-    results, data = in_the_laboratory(people, cfg.users.variant, cfg.seed)
+    results, data = in_the_laboratory(people, cfg.users.variant, cfg.seed, setup.adaptation)
 
     table, names = setup.table, list(population["archetypes"])
 
@@ -54,7 +54,9 @@ def main(cfg: DictConfig) -> None:
     rows, play = as_table(results), {name: d.observation[:, 0] for name, d in zip(names, others, strict=True)}
     folder = output_folder(cfg)
     write_text(folder / "human_measures.csv", rows.to_csv(index=False))
-    pushed = {name: push_response(people, name, seed=cfg.seed) for name in Variant.__members__}
+    pushed = {
+        name: push_response(people, name, seed=cfg.seed, adaptation=setup.adaptation) for name in Variant.__members__
+    }
     draw_speeds(data, folder / "speeds.png")
     draw_push(pushed, folder / "push.png")
     draw_places(play, table, folder / "places.png")

@@ -66,8 +66,8 @@ def plan_start(arm, person):
     A command moves the hand only after the lag; a practiced person plans from there.
     """
     lag = person.muscle_lag
-    now_x, now_y = _planned_velocity(arm, person, arm.plan_age)
-    then_x, then_y = _planned_velocity(arm, person, arm.plan_age + lag)
+    now_x, now_y = planned_velocity(arm, person, arm.plan_age)
+    then_x, then_y = planned_velocity(arm, person, arm.plan_age + lag)
     v_x, v_y = arm.estimate_v_x + then_x - now_x, arm.estimate_v_y + then_y - now_y
     x = arm.estimate_x + 0.5 * lag * (arm.estimate_v_x + v_x)
     y = arm.estimate_y + 0.5 * lag * (arm.estimate_v_y + v_y)
@@ -98,7 +98,8 @@ def peak_acceleration(offset_x, offset_y, v_x, v_y, end_v_x, end_v_y, seconds):
 
 
 @njit(cache=True)
-def _planned_velocity(arm, person, age):
+def planned_velocity(arm, person, age):
+    """Planned velocity (x, y) of the hand in m/s, `age` seconds after the beginning of the plan's cubic."""
     if age < 0.0:
         return arm.start_v_x + arm.initial_acceleration_x * age, arm.start_v_y + arm.initial_acceleration_y * age
     if age < arm.plan_seconds:
@@ -187,7 +188,7 @@ def move_arm(arm, person, noise, stiffness, push_x, push_y, force_x, force_y, dt
     mass = person.arm_mass + person.device_mass
     damping = person.damping_time * sqrt(person.stiffness * stiffness)
     arm.plan_age += dt
-    plan_x, plan_y = _planned_velocity(arm, person, arm.plan_age)
+    plan_x, plan_y = planned_velocity(arm, person, arm.plan_age)
     along, across, tremor_x, tremor_y = noise
     exec_x = plan_x + plan_x * along - plan_y * across + tremor_x
     exec_y = plan_y + plan_y * along + plan_x * across + tremor_y

@@ -13,7 +13,7 @@ from numba import njit
 class Variant(IntEnum):
     """Model of the response to a force.
 
-    passive: only the arm's mechanics respond.
+    passive: only the arm's mechanics respond, and what has been learned.
     comply_or_resist: conflict stiffens the arm and is pushed back; a supporting force replaces own effort.
     goal_sharing: comply_or_resist, and the force is read as a partner's goal, which moves the own goal as far as the
         partner is trusted.
@@ -46,18 +46,44 @@ def agreement(person, force_x, force_y, offset_x, offset_y):
 
 
 @njit(cache=True)
-def respond_to_force(person, state, hand_x, hand_y, force_x, force_y, variant, tick):
-    """Update co-contraction and voluntary push by the perceived force, for one tick of `tick` seconds."""
-    if variant == Variant.passive:
+def respond_to_force(person, state, hand, force, surprise, expected, adapts, variant, tick):
+    """Update co-contraction and voluntary push, for one tick of `tick` seconds.
+
+    Args:
+        hand: (x, y) m.
+        force: (x, y) N, as felt.
+        surprise: (x, y) N, the part of it that was not expected; all of it in people who do not adapt.
+        expected: (x, y) N, the force for which the push is to make up in advance.
+        adapts: whether the person adapts. Then stiffness rises with every surprise and falls as the force is learned
+            (Burdet et al. 2001, Franklin et al. 2008), and own effort gives way to support only gradually (Emken et
+            al. 2007).
+    """
+    if variant == Variant.passive and not adapts:
         return
-    support, conflict = agreement(person, force_x, force_y, state.goal_x - hand_x, state.goal_y - hand_y)
-    tension = min(conflict / person.saturating_conflict, 1.0)
-    state.co_contraction += (1.0 - exp(-tick / person.co_contraction_time)) * (tension - state.co_contraction)
-    size = hypot(force_x, force_y)
-    share = (person.resistance * conflict + person.slacking * support) / size if size > 0.0 else 0.0
+    share = 0.0
+    if variant != Variant.passive:
+        offset_x, offset_y = state.goal_x - hand[0], state.goal_y - hand[1]
+        support, conflict = agreement(person, surprise[0], surprise[1], offset_x, offset_y)
+        size = hypot(surprise[0], surprise[1])
+        tension, slacking = conflict, person.slacking
+        if adapts:
+            update_slacking(person, state, force, offset_x, offset_y, tick)
+            tension, slacking = size, person.slacking * state.slacking
+        tension = min(tension / person.saturating_conflict, 1.0)
+        state.co_contraction += (1.0 - exp(-tick / person.co_contraction_time)) * (tension - state.co_contraction)
+        share = (person.resistance * conflict + slacking * support) / size if size > 0.0 else 0.0
     rate = 1.0 - exp(-tick / person.muscle_lag)
-    state.push_x += rate * (-share * force_x - state.push_x)
-    state.push_y += rate * (-share * force_y - state.push_y)
+    state.push_x += rate * (-expected[0] - share * surprise[0] - state.push_x)
+    state.push_y += rate * (-expected[1] - share * surprise[1] - state.push_y)
+
+
+@njit(cache=True)
+def update_slacking(person, state, force, offset_x, offset_y, tick):
+    """Move the level of slacking toward the share of the felt force that supports."""
+    support, _ = agreement(person, force[0], force[1], offset_x, offset_y)
+    size = hypot(force[0], force[1])
+    supported = support / size if size > 0.0 else 0.0
+    state.slacking += (1.0 - exp(-tick / person.slacking_time)) * (supported - state.slacking)
 
 
 @njit(cache=True)

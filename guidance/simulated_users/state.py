@@ -41,6 +41,9 @@ USER_STATE = np.dtype(
         ("push_x", np.float64),  # voluntary force
         ("push_y", np.float64),
         ("trust", np.float64),  # in the force's goals, 0..1
+        # motor adaptation
+        ("slacking", np.float64),  # how far own effort has given way to support, 0..1
+        ("learned", np.float64, (2, 2, 3)),  # N s/m, see `guidance.simulated_users.adaptation`
     ]
 )
 
@@ -58,6 +61,7 @@ class UserArrays(NamedTuple):
         prediction_errors: (n, ring, 2, 4) of the two forward models, m and m/s.
         partner_goals: (n, ring, 2) m, read from the forces.
         hands: (n, ring, 4) m, with and without the force.
+        velocities: (n, ring, 2) m/s of the hand when the force of the same row began to act.
         actions: (n, 2) the hand's position over its reach.
         streams: (n,) uint64, random number generators.
     """
@@ -71,15 +75,24 @@ class UserArrays(NamedTuple):
     prediction_errors: np.ndarray
     partner_goals: np.ndarray
     hands: np.ndarray
+    velocities: np.ndarray
     actions: np.ndarray
     streams: np.ndarray
 
 
 class Setting(NamedTuple):
-    """What all people of a batch have in common: the table, the `Variant` as an integer, and the advisors."""
+    """What all people of a batch have in common.
+
+    Attributes:
+        table: the table.
+        variant: the `Variant` as an integer.
+        adapts: whether they learn what force to expect.
+        advisors: see `guidance.simulated_users.advisors`.
+    """
 
     table: TableSpec
     variant: int
+    adapts: bool
     advisors: Advisors
 
 

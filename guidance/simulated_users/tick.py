@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from airhockey_marl.envs.world import random_unit
+from guidance.simulated_users.adaptation import expected_force, learn
 from guidance.simulated_users.advisors import advised_action
 from guidance.simulated_users.arm import (
     HAND_REACH,
@@ -22,6 +23,7 @@ from guidance.simulated_users.arm import (
     draw_motor_noise,
     estimate_state,
     move_arm,
+    planned_velocity,
     reset_arm,
     reset_forward_model,
     write_prediction_error,
@@ -61,7 +63,10 @@ from guidance.simulated_users.strokes import clamp, hand_gain, to_hand, to_table
 
 @njit(cache=True)
 def reset_users(arrays, mask):
-    """Begin a round for the people of the mask (n,): hand at the center, no percept, no plan. Trust stays."""
+    """Begin a round for the people of the mask (n,): hand at the center, no percept, no plan.
+
+    Trust stays, and so does what has been learned: people go on with the same force in mind.
+    """
     for index in range(len(mask)):
         if mask[index]:
             _reset_state(arrays.states[index])
@@ -210,6 +215,18 @@ def update(person, state, arms, percept, previous, setting, scratch, rng, index)
     state.time_to_reconsider -= tick
 
 
+@njit(cache=True)
+def expect(person, state, arm):
+    """Forces (x, y) in N that are expected where the plan is after the muscle lag, and where it is now.
+
+    The push makes up for the first one. The second one is in the forward model, as in people who have learned a force
+    (Wagner & Smith 2008): without it the estimate of the hand would follow the push alone.
+    """
+    then_x, then_y = planned_velocity(arm, person, arm.plan_age + person.muscle_lag)
+    now_x, now_y = planned_velocity(arm, person, arm.plan_age)
+    return expected_force(person, state, then_x, then_y), expected_force(person, state, now_x, now_y)
+
+
 @njit(cache=True, inline="always")
 def _to_ticks(seconds, tick):
     return int(seconds / tick + 0.5)
@@ -241,10 +258,12 @@ def step_users(rows, arrays, observation, force, setting):
         arm, shadow, arm_model, shadow_model = arms[0], arms[1], arms[2], arms[3]
         observations, forces, errors = arrays.observations[index], arrays.forces[index], arrays.prediction_errors[index]
         partner_goals, hands = arrays.partner_goals[index], arrays.hands[index]
+        velocities = arrays.velocities[index]
         age = state.age
         row = age % ring
         observations[row] = observation[index]
         forces[row] = force[index]
+        velocities[row, 0], velocities[row, 1] = arm.hand_v_x, arm.hand_v_y
 
         # proprioception
         felt_row = max(age - _to_ticks(person.proprioceptive_delay, tick), 0) % ring
@@ -268,9 +287,18 @@ def step_users(rows, arrays, observation, force, setting):
                 state.time_to_replan = 0.0
             update(person, state, arms, percept, previous, setting, scratch, rng, index)
 
-        # motion
+        # adaptation and response to the force
         force_x, force_y = scratch.force[0], scratch.force[1]
-        respond_to_force(person, state, arm.hand_x, arm.hand_y, force_x, force_y, variant, tick)
+        surprise, ahead, now = (force_x, force_y), (0.0, 0.0), (0.0, 0.0)
+        if setting.adapts:
+            if touch_age >= 0:
+                felt_at = velocities[touch_age % ring]
+                surprise = learn(person, state, felt_at[0], felt_at[1], force_x, force_y, tick)
+            ahead, now = expect(person, state, arm)
+        hand = (arm.hand_x, arm.hand_y)
+        respond_to_force(person, state, hand, (force_x, force_y), surprise, ahead, setting.adapts, variant, tick)
+
+        # motion
         stiffness = current_stiffness(person, state)
         for _ in range(SUBSTEPS):
             draw_motor_noise(person, state, dt, rng, index)
@@ -278,7 +306,7 @@ def step_users(rows, arrays, observation, force, setting):
             push_x, push_y = state.push_x, state.push_y
             move_arm(arm, person, noise, stiffness, push_x, push_y, force[index, 0], force[index, 1], dt)
             move_arm(shadow, person, noise, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
-            move_arm(arm_model, person, NO_NOISE, stiffness, push_x, push_y, 0.0, 0.0, dt)
+            move_arm(arm_model, person, NO_NOISE, stiffness, push_x, push_y, now[0], now[1], dt)
             move_arm(shadow_model, person, NO_NOISE, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
 
         # trust in the partner whose goal the force tells

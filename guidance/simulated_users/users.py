@@ -9,6 +9,7 @@ from airhockey_marl.envs.physics import TableSpec, check_table
 from airhockey_marl.experiment.parallel import parallel_for
 from airhockey_marl.experiment.registry import construct
 from airhockey_marl.experiment.validation import check_rows
+from guidance.simulated_users.adaptation import is_on
 from guidance.simulated_users.advisors import NO_ADVISORS, Advisors
 from guidance.simulated_users.arm import ARM_STATE
 from guidance.simulated_users.force_response import Variant, check_variant
@@ -20,8 +21,13 @@ from guidance.simulated_users.tick import reset_users, step_users
 
 
 def load_population(users: DictConfig) -> Population:
-    """The population of the section `users` of a configuration; raises a ValueError for an invalid one or `variant`."""
+    """The population of the section `users` of a configuration.
+
+    Raises:
+        ValueError: it, `variant` or `adaptation` is invalid.
+    """
     check_variant(users.variant)
+    is_on(users.adaptation)
     return construct(Population, users.population, "users.population")
 
 
@@ -37,6 +43,7 @@ class SimulatedUsers:
         table: the `TableSpec` that they know by practice.
         variant: name of a `Variant` of the response to a force.
         advisors: players whose actions weigh in the choice of intentions; none if None.
+        adaptation: whether they learn what force to expect, see `guidance.simulated_users.adaptation`.
     """
 
     def __init__(
@@ -46,6 +53,7 @@ class SimulatedUsers:
         table: TableSpec | None = None,
         variant: str = "comply_or_resist",
         advisors: Advisors | None = None,
+        adaptation: bool = True,
     ) -> None:
         people = np.asarray(people)
         if people.dtype != USER_PARAMETERS or people.ndim != 1 or len(people) < 1:
@@ -57,7 +65,7 @@ class SimulatedUsers:
         self.n, self.people, self.streams = n, people, streams = len(people), people.copy(), streams.copy()
         self.table = check_table(table or TableSpec())
         self.variant, self.advisors = Variant[variant], advisors or NO_ADVISORS
-        self._setting = Setting(self.table, int(self.variant), self.advisors)
+        self._setting = Setting(self.table, int(self.variant), bool(adaptation), self.advisors)
         longest_memory = max(
             (people["tactile_delay"] + people["partner_lead_time"]).max(),
             *(people[name].max() for name in ("visual_delay", "proprioceptive_delay", "hindsight_delay")),
@@ -73,6 +81,7 @@ class SimulatedUsers:
             prediction_errors=np.zeros((n, ring, 2, 4)),
             partner_goals=np.zeros((n, ring, 2)),
             hands=np.zeros((n, ring, 4)),
+            velocities=np.zeros((n, ring, 2)),
             actions=np.zeros((n, 2)),
             streams=streams,
         )
@@ -85,12 +94,19 @@ class SimulatedUsers:
         reset_users(self._arrays, self._checked(mask))
 
     def new_game(self, mask: np.ndarray) -> None:
-        """Begin a round as `new_round`, and also reset trust, co-contraction and the rating signals."""
+        """Begin a round as `new_round`, and also reset trust, co-contraction, slacking and the rating signals.
+
+        What people have learned stays: the same person plays the next game, and a motor memory outlasts a break.
+        """
         mask, arrays = self._checked(mask), self._arrays
         arrays.states["trust"][mask] = self.people["initial_trust"][mask]
-        arrays.states["co_contraction"][mask] = 0.0
+        arrays.states["co_contraction"][mask] = arrays.states["slacking"][mask] = 0.0
         arrays.sums[mask] = np.zeros((), RATING_SIGNALS)
         self.new_round(mask)
+
+    def carry_over(self, rows: np.ndarray, source: "SimulatedUsers", source_rows: np.ndarray) -> None:
+        """Give the people `rows` (k,) what the people `source_rows` (k,) of `source` have learned."""
+        self._arrays.states["learned"][rows] = source.learned[source_rows]
 
     def _checked(self, mask: np.ndarray) -> np.ndarray:
         mask = np.asarray(mask)
@@ -158,6 +174,11 @@ class SimulatedUsers:
     def time_to_contact(self) -> np.ndarray:
         """(n,) s until the planned contact with the puck; infinite where none is planned. Private, as `goal`."""
         return self._arrays.states["time_to_contact"].copy()
+
+    @property
+    def learned(self) -> np.ndarray:
+        """(n, 2, 2, 3) N s/m, see `guidance.simulated_users.adaptation`. Private, as `goal`."""
+        return self._arrays.states["learned"].copy()
 
     def _of_arm(self, name: str) -> np.ndarray:
         arm = self._arrays.arms[:, 0]

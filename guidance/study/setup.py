@@ -18,10 +18,11 @@ from airhockey_marl.experiment.registry import construct
 from airhockey_marl.league.league import League
 from airhockey_marl.players.inference import greedy_player
 from airhockey_marl.players.players import Player
-from guidance.forces.condition_specs import ConditionSpec, select_specs
+from guidance.forces.condition_specs import PAPER_LETTERS, ConditionSpec, select_specs
 from guidance.forces.conditions import Condition, GuidanceSettings, build_condition
 from guidance.forces.lookahead import Lookahead
 from guidance.simulated_users import Advisors, SimulatedUsers, load_advisors
+from guidance.simulated_users.adaptation import is_on
 from guidance.simulated_users.force_response import check_variant
 from guidance.study.metrics import EXTRA_METRICS
 from guidance.study.models import Models, check_predictor
@@ -40,17 +41,19 @@ class PlaySetup:
         opponent: the player at the right side of every table.
         variant: how people respond to a force, see `guidance.simulated_users.force_response`.
         advisors: the policies that skilled people learned from.
+        adaptation: whether people learn what force to expect, see `guidance.simulated_users.adaptation`.
         table: the table's dimensions and physics.
     """
 
     opponent: Player
     variant: str
     advisors: Advisors
+    adaptation: bool = True
     table: TableSpec = field(default_factory=TableSpec)
 
     def simulated_users(self, people: np.ndarray, rng_states: np.ndarray) -> SimulatedUsers:
         """Simulated participants (n,) with random number streams of these states (n,)."""
-        return SimulatedUsers(people, rng_states, self.table, self.variant, self.advisors)
+        return SimulatedUsers(people, rng_states, self.table, self.variant, self.advisors, self.adaptation)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,10 +78,11 @@ class StudySetup(PlaySetup):
 
 
 def load_play_setup(cfg: DictConfig, device: str = "cpu") -> PlaySetup:
-    """The opponent, evaluated on `device`, and the people's variant and advisors; see `load_setup`."""
+    """The opponent, evaluated on `device`, and how the people respond; see `load_setup`."""
     check_variant(cfg.users.variant)
-    advisors = load_advisors(cfg.users.advisors)
-    return PlaySetup(opponent=load_opponent(cfg, device), variant=cfg.users.variant, advisors=advisors)
+    adaptation, advisors = is_on(cfg.users.adaptation), load_advisors(cfg.users.advisors)
+    opponent = load_opponent(cfg, device)
+    return PlaySetup(opponent=opponent, variant=cfg.users.variant, advisors=advisors, adaptation=adaptation)
 
 
 def load_setup(cfg: DictConfig) -> StudySetup:
@@ -151,13 +155,18 @@ def frozen_study() -> dict[str, Any]:
 
 
 def manifest(cfg: DictConfig, hashes: dict[str, str], command_line: str, seconds: float) -> dict:
-    """The origin of a result; `frozen`: its configuration, models and seed are those of the frozen study."""
+    """The origin of a result; `frozen`: its configuration, models and seed are those of the frozen study.
+
+    People who adapt take what they learn from one condition into the next, so all nine of the paper's must be in it.
+    """
     digest, fixed = study_hash(cfg, hashes), frozen_study()
+    played = {spec.letter for spec in condition_specs(cfg)}
+    complete = not is_on(cfg.users.adaptation) or played >= {*PAPER_LETTERS}
     return {
         "command": command_line,
         "seed": cfg.seed,
         "study_hash": digest,
-        "frozen": (digest, cfg.seed) == (fixed["study_hash"], fixed["seed"]),
+        "frozen": complete and (digest, cfg.seed) == (fixed["study_hash"], fixed["seed"]),
         "models": hashes,
         "conditions": [
             {"name": s.name, "letter": s.letter, "label": s.label, "color": s.color, "against": list(s.against)}

@@ -8,6 +8,13 @@ import pandas as pd
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
+from guidance.simulated_users.validation.adaptation_tasks import (
+    FIELDS,
+    after_effects,
+    compensation,
+    random_field,
+    spontaneous_recovery,
+)
 from guidance.simulated_users.validation.motor_tasks import (
     Reaches,
     fitts_slopes,
@@ -28,6 +35,17 @@ MEASURES = {
     "stiffness of the hand, from pushes": ("N/m", (60.0, 600.0), "van Beek et al. 2015: 135 N/m"),
     "its damping over its stiffness": ("s", (0.03, 0.08), "van Beek et al. 2015: 0.048 s"),
     "reaches with one peak of speed": ("share", (0.80, 1.0), "Morasso 1981"),
+    **{
+        f"{field}, {measure}": ("share", human, source)
+        for field in FIELDS
+        for measure, human, source in (
+            ("compensated after 30 s", (0.50, 0.85), "Smith et al. 2006, Albert & Shadmehr 2018: .54 to .83"),
+            ("compensated after 2 min", (0.70, 0.87), "the same: in the end .75 to .87"),
+            ("after-effect", (0.0, 1.0), "Shadmehr & Mussa-Ivaldi 1994: opposite, not larger"),
+        )
+    },
+    "curl field, spontaneous recovery": ("share", (0.0, 0.5), "Smith et al. 2006: some of the first field"),
+    "curl field of random sign, learned": ("share", (-0.1, 0.1), "Scheidt et al. 2001: its mean, 0"),
     "speed of the hand in play, 99.9 %": ("m/s", (0.0, 1.5), "the workspace of an Omega.7"),
     "playstyle told from a game, unseen people": ("share", (0.35, 1.0), "chance is 1 of 6"),
     "person told from another game": ("share", (0.10, 1.0), "chance is 1 of all"),
@@ -47,18 +65,25 @@ def as_table(results: Mapping[str, np.ndarray]) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=["measure", "unit", "mean", "sd", "human", "within", "source"])
 
 
-def in_the_laboratory(people: np.ndarray, variant: str, seed: int) -> tuple[dict[str, np.ndarray], Reaches]:
+def in_the_laboratory(
+    people: np.ndarray, variant: str, seed: int, adaptation: bool = True
+) -> tuple[dict[str, np.ndarray], Reaches]:
     """The measures of the laboratory, a value per person each, and the reaches behind some of them."""
     data = reaches(people, seed=seed)
-    _, damping, stiffness = mechanics(people, variant=variant, seed=seed).T
-    return {
+    _, damping, stiffness = mechanics(people, variant=variant, seed=seed, adaptation=adaptation).T
+    results = {
         "simple visual reaction time": reaction_times(people, seed=seed).mean(axis=1),
         "Fitts's law, slope": fitts_slopes(data),
         "timing of a blow, SD": np.nanstd(timing_errors(people, seed=seed), axis=1),
         "stiffness of the hand, from pushes": stiffness,
         "its damping over its stiffness": damping / stiffness,
         "reaches with one peak of speed": (data.peaks() == 1).mean(axis=1),
-    }, data
+    }
+    if adaptation:
+        results |= compensation(people, variant, seed) | after_effects(people, variant, seed)
+        results["curl field, spontaneous recovery"] = spontaneous_recovery(people, variant, seed)
+        results["curl field of random sign, learned"] = random_field(people, variant, seed)
+    return results, data
 
 
 def style_measures(known: Sequence[Tensor], unseen: Sequence[Tensor], table: TableSpec) -> dict[str, np.ndarray]:

@@ -60,6 +60,7 @@ def run_trials(
     force: np.ndarray | None = None,
     variant: str = "comply_or_resist",
     seed: int = 0,
+    adaptation: bool = True,
 ) -> Recording:
     """Record all trials of a task.
 
@@ -70,7 +71,8 @@ def run_trials(
         force: (people, trials, ticks, 2) N on the hand, or None.
     """
     n, trials, ticks = targets.shape[:3]
-    users = SimulatedUsers(np.repeat(people, trials), personal_streams(n * trials, seed), TABLE, variant)
+    streams = personal_streams(n * trials, seed)
+    users = SimulatedUsers(np.repeat(people, trials), streams, TABLE, variant, adaptation=adaptation)
     users.instruct(task)
     targets = targets.reshape(n * trials, ticks, 4)
     force = np.zeros((n * trials, ticks, 2)) if force is None else force.reshape(n * trials, ticks, 2)
@@ -241,7 +243,12 @@ def timing_errors(people: np.ndarray, trials: int = 30, seed: int = 0) -> np.nda
 
 
 def mechanics(
-    people: np.ndarray, trials: int = 4, seconds: float = 10.0, variant: str = "comply_or_resist", seed: int = 0
+    people: np.ndarray,
+    trials: int = 4,
+    seconds: float = 10.0,
+    variant: str = "comply_or_resist",
+    seed: int = 0,
+    adaptation: bool = True,
 ) -> np.ndarray:
     """(people, 3) mass in kg, damping in N s/m and stiffness in N/m of a resting hand, from small perturbations.
 
@@ -252,7 +259,7 @@ def mechanics(
     shape = (len(people), trials)
     force = 0.5 * rng.choice([-1.0, 1.0], (*shape, -(-ticks // hold), 2)).repeat(hold, axis=2)[:, :, :ticks]
     force[:, :, :50] = 0.0
-    rec = run_trials(people, Intention.REACH, resting_targets(shape, ticks), force, variant, seed)
+    rec = run_trials(people, Intention.REACH, resting_targets(shape, ticks), force, variant, seed, adaptation)
     return np.array([_fit_mechanics(*person) for person in zip(rec.force, rec.hand, rec.velocity, strict=True)])
 
 
@@ -264,12 +271,17 @@ def _fit_mechanics(force: np.ndarray, hand: np.ndarray, velocity: np.ndarray) ->
 
 
 def push_response(
-    people: np.ndarray, variant: str = "comply_or_resist", newtons: float = 2.0, seconds: float = 1.0, seed: int = 0
+    people: np.ndarray,
+    variant: str = "comply_or_resist",
+    newtons: float = 2.0,
+    seconds: float = 1.0,
+    seed: int = 0,
+    adaptation: bool = True,
 ) -> tuple[np.ndarray, np.ndarray]:
     """Displacement of a resting hand by a sideways push: (ticks,) s since the push began, (people, ticks) m."""
     ticks, start = round((1.6 + seconds) / TABLE.tick), 60
     shape = (len(people), 1)
     force = np.zeros((*shape, ticks, 2))
     force[:, :, start : start + round(seconds / TABLE.tick), 1] = newtons
-    hand = run_trials(people, Intention.REACH, resting_targets(shape, ticks), force, variant, seed).hand
+    hand = run_trials(people, Intention.REACH, resting_targets(shape, ticks), force, variant, seed, adaptation).hand
     return (np.arange(ticks) + 1 - start) * TABLE.tick, hand[:, 0, :, 1]

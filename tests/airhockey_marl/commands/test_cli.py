@@ -121,7 +121,7 @@ def test_tensorboard_shows_each_generation_once(runs):
 def test_validate_users_measures_and_draws(tmp_path):
     done = smoke("guidance", "validate_users", f"hydra.run.dir={tmp_path}")
     table = pd.read_csv(tmp_path / "human_measures.csv")
-    assert len(table) == 15 and table["mean"].notna().all()
+    assert len(table) == 26 and table["mean"].notna().all()
     assert all(name in done.stdout for name in table["measure"])
     for name in ("speeds", "push", "places", "shots"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
@@ -218,6 +218,7 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
         ("evaluate", "guidance.predictor=never", "guidance.predictor = never must be one of "),
         ("prediction_report", "guidance.predictor=never", "guidance.predictor = never must be one of "),
         ("evaluate", "users.variant=V9", "users.variant = 'V9'"),
+        ("evaluate", "users.adaptation=maybe", "users.adaptation = 'maybe' must be on or off"),
         ("evaluate", "study.rounds=0", "study.rounds = 0"),
         ("evaluate", "opponent=1000", "generation = 1000"),
         ("evaluate", "models.user=nowhere.safetensors", "no such file: nowhere.safetensors"),
@@ -235,6 +236,7 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
         ("validate_users", "users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist"),
         ("validate_users", "~users.population.intention.utility_weights.away_wait", "away_wait is missing"),
         ("validate_users", "users.population.situation.position_jump=0", "position_jump = 0 must be a number above 0"),
+        ("validate_users", "users.adaptation=maybe", "users.adaptation = 'maybe' must be on or off"),
         ("meta_train", "users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist"),
         ("evaluate", "users.withdrawn=[joy]", "users.withdrawn: 'joy' must be one of helpfulness"),
         ("evaluate", "users.advisors=nobody.safetensors", "no such file: nobody.safetensors"),

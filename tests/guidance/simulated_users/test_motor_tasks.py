@@ -27,7 +27,7 @@ def people() -> np.ndarray:
 
 def test_the_default_population_is_within_the_human_ranges(people):
     table = as_table(in_the_laboratory(people, "comply_or_resist", 0)[0]).set_index("measure")
-    assert len(table) == 6
+    assert len(table) == 17
     for name, row in table.iterrows():
         low, high = MEASURES[name][1]
         assert low <= row["mean"] <= high, f"{name}: {row['mean']:.3g}"

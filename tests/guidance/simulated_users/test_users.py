@@ -155,7 +155,7 @@ def test_the_arm_follows_a_reach_with_one_peak_of_speed():
 def test_displacement_by_a_force_is_about_force_over_stiffness():
     n = 30
     people, streams = sample_people(n, 4), personal_streams(n, 4)
-    passive, free = SimulatedUsers(people, streams, TABLE, "passive"), SimulatedUsers(people, streams, TABLE, "passive")
+    passive, free = (SimulatedUsers(people, streams, TABLE, "passive", adaptation=False) for _ in range(2))
     force = np.tile([0.0, 1.5], (n, 1))
     off = []
     for tick in range(500):
@@ -362,6 +362,7 @@ def _copies():
     return lambda state: rivals.step(state, zero)
 
 
+@pytest.mark.xfail(strict=True, reason="order and withdrawn proxies were found with people who do not adapt")
 def test_the_known_order(anchored):
     """All proxies but the withdrawn ones must fall from oracle over replayed and random to anti."""
     z = {
@@ -419,6 +420,8 @@ def test_intentions_are_named_and_used():
         (lambda: Population.default(resistance=(2.0, 1.0, 1.0)), "users.population.force_response.resistance"),
         (lambda: Population.default(device_mass=-1.0), "arm.device_mass = -1.0"),
         (lambda: Population.default(noise_correlation=1.5), "movement.noise_correlation = 1.5"),
+        (lambda: Population.default(fast_retention=1.1), "adaptation.fast_retention = 1.1"),
+        (lambda: Population.default(reference_speed=0.0), "adaptation.reference_speed = 0.0"),
         (lambda: Population.default(archetypes={"odd": (0.5, 0.5)}), "style.archetypes.odd"),
         (lambda: SimulatedUsers(np.zeros(3), personal_streams(3, 0)), "people of shape"),
         (lambda: SimulatedUsers(sample_people(3, 0), personal_streams(2, 0)), "streams uint64"),
