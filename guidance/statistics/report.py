@@ -26,7 +26,7 @@ from guidance.statistics.figures import figure6, means_beside
 from guidance.statistics.groups import UNTESTED, Group, side_by_side
 from guidance.statistics.paper import EVIDENCE, EVIDENCE_OF_PEOPLE, count_findings, published_results, reference_points
 from guidance.statistics.research_questions import QUESTIONS, answer_questions
-from guidance.statistics.tests import missing_games
+from guidance.statistics.tests import missing_games, order_effects
 
 PAPER_LETTERS = [condition.letter for condition in CONDITIONS.values()]
 SHORT_METRICS = ("win rate", "smash", "defense", "disagree", "helpful", "natural", "control", "comfort")
@@ -138,6 +138,7 @@ def _page(group: Group, svg: bytes, beside: Mapping[str, Any]) -> str:
         beyond=_beyond_rows(tests),
         planned_comparisons=tests[tests["test"] == "planned"].to_dict("records"),
         by_ranks=int((by_ranks & ~findings["metric"].isin(withdrawn)).sum()),
+        order=order_effects(trials),
         weights=_weights(trials),
         questions=QUESTIONS,
         answers=answer_questions(ours, people),

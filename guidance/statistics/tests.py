@@ -111,6 +111,39 @@ def _about(family: str, metric: str, kind: str, people: bool) -> dict[str, Any]:
     return {"family": family, "metric": metric, "kind": kind, "proxy": kind == "subjective" and not people}
 
 
+def order_effects(trials: pd.DataFrame) -> list[dict[str, Any]]:
+    """How much each objective metric changes from one position in a participant's order to the next.
+
+    Least squares of the metric on the position, with a constant for each participant and for each condition.
+
+    Returns:
+        A row per metric: `metric`, `n` (games), `slope`, its 95 % interval `ci_low` to `ci_high`, and `p`. None where
+        the positions are not known or are the same for everybody.
+    """
+    from scipy import stats
+
+    rows: list[dict[str, Any]] = []
+    for metric in (name for name, metric in METRICS.items() if metric.kind == "objective" and "position" in trials):
+        games = trials[["user", "condition", "position", metric]].dropna()
+        if games.empty:
+            continue
+        constants = pd.get_dummies(games[["user", "condition"]], dtype=float).to_numpy()
+        position, scores = (
+            games[name].to_numpy(float) - constants @ np.linalg.lstsq(constants, games[name].to_numpy(float))[0]
+            for name in ("position", metric)
+        )
+        df, variation = len(games) - np.linalg.matrix_rank(constants) - 1, position @ position
+        if df < 1 or variation < 1e-9 * len(games):
+            continue
+        slope = position @ scores / variation
+        error = np.sqrt(np.sum((scores - slope * position) ** 2) / df / variation)
+        half = error * stats.t.isf(0.025, df)
+        p = 2 * stats.t.sf(abs(slope) / error, df) if error > 0 else np.nan
+        row = {"metric": metric, "n": len(games), "slope": slope, "ci_low": slope - half, "ci_high": slope + half}
+        rows.append(row | {"p": p})
+    return rows
+
+
 def check_trials(trials: pd.DataFrame, people: bool = False) -> None:
     """Check that trials can be compared within participants.
 

@@ -13,7 +13,7 @@ from scipy import stats as scipy_stats
 
 from guidance.statistics.design import CONDITIONS, METRICS
 from guidance.statistics.paper import compare_with_paper, count_findings, published_results, reference_points
-from guidance.statistics.tests import run_tests, signed_rank_test
+from guidance.statistics.tests import order_effects, run_tests, signed_rank_test
 
 LETTER = {name: condition.letter for name, condition in CONDITIONS.items()}
 
@@ -346,3 +346,44 @@ def test_reference_points():
     assert by_chance == pytest.approx(0.025 * (1 + 20 / 3 + 17 / 6))
     assert rerun == pytest.approx(31, abs=0.5)
     assert reference_points(n=200)[1] == pytest.approx(38, abs=0.01)
+
+
+def with_positions(trials: pd.DataFrame, slope: float, seed: int = 0) -> pd.DataFrame:
+    """Trials in a random order of each participant, which changes every metric by `slope` per position."""
+    rng = np.random.default_rng(seed)
+    order = np.concatenate([rng.permutation(len(games)) + 1 for _, games in trials.groupby("user")])
+    trials = trials.sort_values("user", kind="stable").assign(position=order)
+    return trials.assign(**{metric: trials[metric] + slope * order for metric in METRICS})
+
+
+def test_an_order_effect_is_found_beside_those_of_participants_and_conditions():
+    for slope in (0.0, 0.5):
+        rows = order_effects(with_positions(synthetic_trials(effect=2.0), slope))
+        assert [row["metric"] for row in rows] == [name for name, m in METRICS.items() if m.kind == "objective"]
+        for row in rows:
+            assert row["ci_low"] < slope < row["ci_high"] and row["ci_high"] - row["ci_low"] < 0.2
+            assert (row["p"] < 0.001) == (slope > 0) and row["n"] == (
+                160 if row["metric"] == "mean_disagreement" else 180
+            )
+
+
+def test_order_effects_have_nominal_intervals():
+    rows = [row for seed in range(40) for row in order_effects(with_positions(synthetic_trials(seed), 0.3, seed))]
+    assert np.mean([row["ci_low"] < 0.3 < row["ci_high"] for row in rows]) == pytest.approx(0.95, abs=0.04)
+    assert np.mean([row["p"] < 0.05 for row in rows]) > 0.95
+
+
+def test_order_effects_agree_with_a_regression_on_dummies():
+    trials = with_positions(synthetic_trials(users=5), 0.1)
+    dummies = pd.get_dummies(trials[["user", "condition"]], dtype=float)
+    dummies = dummies.drop(columns=["user_S01", "condition_nhg"]).assign(position=trials["position"])
+    fit = pingouin.linear_regression(dummies, trials["win_rate"]).set_index("names").loc["position"]
+    row = order_effects(trials)[0]
+    assert (row["slope"], row["p"]) == pytest.approx((fit["coef"], fit["pval"]))
+
+
+def test_positions_that_are_the_same_for_everybody_tell_nothing():
+    trials = synthetic_trials()
+    assert order_effects(trials) == []
+    assert order_effects(trials.assign(position=np.tile(np.arange(1, 10), 20))) == []
+    assert order_effects(with_positions(trials[trials["user"] == "S01"], 0.1)) == []
