@@ -2,7 +2,7 @@
 
     airhockey evaluate                                all nine conditions, 20 people
     airhockey evaluate condition=oahg_ut              one of them
-    airhockey evaluate -m 'condition=glob(*)'         the nine as nine jobs
+    airhockey evaluate -m 'condition=glob(*)'         the nine as nine jobs, each of people who know none of the others
     airhockey evaluate 'beyond=[product]'             the nine, and one that is not the paper's
     airhockey report runs=outputs/evaluate/...        merge the jobs into one report
     airhockey evaluate +preset=smoke                  seconds, to see that it runs

@@ -8,12 +8,16 @@ from guidance.display.pages import Items, Page
 from guidance.haptics.seat import RealTimePlayer
 from guidance.sessions.session import SKIP
 from guidance.simulated_users import SimulatedUsers, load_advisors
+from guidance.simulated_users.adaptation import is_on
 from guidance.simulated_users.ratings import RATINGS
 from guidance.study.protocol import CALIBRATION_GAME, spawn_rng_states
 
 
 class SimulatedParticipant:
     """An `ExperimenterUI` whose pages are answered by a simulated person, who is the same as in a simulated study.
+
+    With adaptation the person begins a game with what they learned in those before; if a session is interrupted, they
+    go on without it.
 
     Args:
         people: (participants,) parameters of the study's simulated people, see `guidance.simulated_users`.
@@ -33,11 +37,14 @@ class SimulatedParticipant:
     def _in_game(self, game: int) -> SimulatedUsers:
         """The person with the random numbers that a simulated study uses in this game."""
         rng_states = spawn_rng_states(self._seed, [self._place], game, 0)
-        return SimulatedUsers(self._person, rng_states, TableSpec(), self._cfg.variant, self._advisors)
+        adaptation = is_on(self._cfg.adaptation)
+        return SimulatedUsers(self._person, rng_states, TableSpec(), self._cfg.variant, self._advisors, adaptation)
 
     def begin_game(self, player: RealTimePlayer, game: int) -> None:
-        """Start a game with a fresh copy of the person at the device."""
-        self.users = player.person = player.hand.device.users = self._in_game(game)
+        """Start a game with a fresh copy of the person at the device, who knows what the last one has learned."""
+        users = self._in_game(game)
+        users.carry_over(np.arange(1), self.users, np.arange(1))
+        self.users = player.person = player.hand.device.users = users
 
     def page(self, page: Page) -> str:
         """Skip the page if possible, else press its first key."""

@@ -4,7 +4,7 @@ Each game has random number streams of its own, so its results are bit-identical
 same time. A finished game takes no more time.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 from typing import Protocol as Interface
@@ -89,10 +89,11 @@ class GameRunner:
         self._state, self._opponent_observation = np.empty((n, 12)), np.empty((n, 12), dtype=np.float32)
         self.force, self._actions = np.zeros((n, 2)), np.zeros((n, 2, 2))
 
-    def new_games(self) -> None:
-        """Begin all games."""
-        self.tables.new_rounds()
-        self.participants.new_game(self.everyone)
+    def new_games(self, games: np.ndarray | None = None) -> None:
+        """Begin the games (k,), all of them if None."""
+        mask = self.everyone if games is None else np.isin(self._all, games)
+        self.tables.new_rounds(mask)
+        self.participants.new_game(mask)
 
     def new_rounds(self, mask: np.ndarray) -> None:
         """Begin a round at the tables of a mask (n,)."""
@@ -186,6 +187,7 @@ def play_games(
     progress: Callable[[float], None] = lambda share: None,
     on_tick: Callable[[GameStep, bool, np.ndarray], None] = lambda tick, scored, ended: None,
     extra_metrics: Sequence[str] = (),
+    waves: Iterable[np.ndarray] | None = None,
 ) -> Games:
     """Play one game at each of n tables, participants at the left.
 
@@ -197,26 +199,30 @@ def play_games(
         progress: called with the share of the rounds that are over.
         on_tick: called with every tick, whether it is scored, and the mask (n,) of the rounds that end with it.
         extra_metrics: names of `EXTRA_METRICS` that are measured beside the paper's four.
+        waves: games (k,) int64 each, ascending: those of a wave are played side by side, wave after wave, each game in
+            one of them; a wave is asked for when the one before is over. All games at once if None.
     """
     n = len(serves)
     runner, state = GameRunner(participants, opponent, table, serves), ProtocolState(n, protocol, table.tick)
-    runner.new_games()
     metrics = MetricsRecorder(runner, extra_metrics)
     trail: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
-    while len(games := state.playing):
-        if state.begin_scoring():
-            runner.new_games()
-        tick = runner.tick(forces, games)
-        if state.scored:
-            metrics.add(tick)
-            if keep_demonstrations:
-                trail.append((games, tick.state[games].astype(np.float32), tick.action[games].astype(np.float32)))
-        scored, ended = state.scored, state.tick(tick.goals)
-        on_tick(tick, scored, ended)
-        if ended.any():
-            runner.new_rounds(ended)
-            progress(float(np.minimum(state.rounds / protocol.rounds, 1).mean()))
+    for wave in [np.arange(n)] if waves is None else waves:
+        state.begin(wave)
+        runner.new_games(wave)
+        while len(games := state.playing):
+            if state.begin_scoring():
+                runner.new_games(wave)
+            tick = runner.tick(forces, games)
+            if state.scored:
+                metrics.add(tick)
+                if keep_demonstrations:
+                    trail.append((games, tick.state[games].astype(np.float32), tick.action[games].astype(np.float32)))
+            scored, ended = state.scored, state.tick(tick.goals)
+            on_tick(tick, scored, ended)
+            if ended.any():
+                runner.new_rounds(ended)
+                progress(float(np.minimum(state.rounds / protocol.rounds, 1).mean()))
 
     return Games(
         results=metrics.results(),

@@ -35,22 +35,26 @@ class Protocol:
 
 
 class ProtocolState:
-    """The progress of n games through the protocol.
+    """The progress of n games through the protocol, of which those that `begin` together are played side by side.
 
     Attributes:
-        playing: (k,) int64, the games that are not over, ascending; a new array whenever one has ended.
-        scored: whether the familiarization is over.
+        playing: (k,) int64, the games that have begun and are not over, ascending; a new array whenever one has ended.
+        scored: whether their familiarization is over.
         rounds, ticks: (n,) finished rounds, and ticks of scored play.
     """
 
     def __init__(self, n: int, protocol: Protocol, tick_seconds: float) -> None:
         self.protocol, self.tick_seconds = protocol, tick_seconds
         self.unscored_ticks = round(protocol.familiarization / tick_seconds)
-        self.playing, self.scored, self._elapsed = np.arange(n), False, 0
         self.rounds, self.ticks, self._round_ticks = np.zeros((3, n), dtype=np.int64)
+        self.begin(np.arange(n))
+
+    def begin(self, games: np.ndarray) -> None:
+        """Begin the games (k,) int64, ascending, when no other is being played."""
+        self.playing, self.scored, self._elapsed = games, False, 0
 
     def begin_scoring(self) -> bool:
-        """Begin the scored games if the familiarization has just ended; whether it has. It ends for all n at once."""
+        """Begin to score if the familiarization has just ended; whether it has. It ends for all games at once."""
         if self.scored or self._elapsed < self.unscored_ticks:
             return False
         self.scored = True

@@ -1,10 +1,12 @@
 """The user study (section 4): calibration game, user adaptation, and a game and ratings per condition.
 
-Conditions come in counterbalanced order. The random numbers of a game follow from the seed, the user and the condition,
-so its results are bit-identical whichever other conditions or studies are played in the same run.
+Conditions come in counterbalanced order. People who adapt play them one after the other, each with what was learned in
+those before; without adaptation no game depends on another, and all are played at once. The random numbers of a game
+follow from the seed, the user and the condition, so its results are bit-identical whichever other studies are played in
+the same run, and without adaptation whichever other conditions are.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from string import ascii_lowercase
@@ -80,7 +82,8 @@ def run_studies(
         return output
 
     numbers = [ascii_lowercase.index(condition.letter) for condition in conditions]
-    participants, games = play(numbers, forces, stage="games")
+    order = np.concatenate([playing_order(cohort, conditions) for cohort in cohorts]) if setup.adaptation else None
+    participants, games = play(numbers, forces, stage="games", order=order)
     extra = {name: games.results.pop(name) for name in setup.extra_metrics}  # after the paper's columns
     columns = {
         **games.results,
@@ -107,8 +110,14 @@ def _play(
     stage: str,
     progress: Callable[[str, float], None],
     keep_demonstrations: bool = False,
+    order: np.ndarray | None = None,
 ) -> tuple[SimulatedUsers, Games]:
-    """Play the games of these numbers with everybody, game by game, and return the participants too."""
+    """Play the games of these numbers with everybody, and return the participants too.
+
+    Args:
+        order: (users, games) int64, the places in `numbers` of each user's first game, of the second, and so on; each
+            begins with what was learned in the one before. All games at once if None.
+    """
     streams = [user_and_table_states(c.seed, range(len(c.people)), number) for number in numbers for c in cohorts]
     user_states, table_states = (np.concatenate(part) for part in zip(*streams, strict=True))
     people = np.concatenate([cohort.people for cohort in cohorts])
@@ -123,8 +132,24 @@ def _play(
         keep_demonstrations,
         partial(progress, stage),
         extra_metrics=setup.extra_metrics,
+        waves=None if order is None else _one_after_the_other(participants, order),
     )
     return participants, games
+
+
+def _one_after_the_other(participants: SimulatedUsers, order: np.ndarray) -> Iterator[np.ndarray]:
+    """The games of everybody's first condition, of the second, and so on, and carry over to them what was learned.
+
+    Args:
+        participants: game c * users + u is played by user u.
+        order: see `_play`.
+    """
+    users = np.arange(len(order))
+    games = order.T * len(order) + users  # (conditions, users)
+    for place, wave in enumerate(games):
+        if place:
+            participants.carry_over(wave, participants, games[place - 1])
+        yield np.sort(wave)
 
 
 def _neighbors(sizes: Sequence[int]) -> torch.Tensor:
@@ -137,18 +162,37 @@ def _neighbors(sizes: Sequence[int]) -> torch.Tensor:
 
 def _tables(cohort: Cohort, conditions: Sequence[Condition], columns: dict[str, np.ndarray]) -> StudyTables:
     """The tables of a study from columns (conditions, users)."""
-    users = len(cohort.people)
-    position = counterbalanced_order(users, len(PAPER_LETTERS), cohort.seed)
-    beyond = sorted(c.letter for c in conditions if c.letter not in PAPER_LETTERS)  # played after the paper's
+    position = positions(cohort, conditions)
     rows = []
     for c, condition in enumerate(conditions):
-        for u in range(users):
+        for u in range(len(cohort.people)):
             row: dict[str, object] = {"user": f"S{u + 1:02d}", "condition": condition.name}
-            nth = PAPER_LETTERS.find(condition.letter)
-            row["position"] = position[u, nth] if nth >= 0 else len(PAPER_LETTERS) + 1 + beyond.index(condition.letter)
+            row["position"] = position[u, c]
             row |= {name: values[c, u] for name, values in columns.items()}
             if condition.letter == "a":
                 row["mean_disagreement"] = np.nan  # undefined without a force (section 5.2)
             rows.append(row | {"seed": cohort.seed})
     table = pd.DataFrame(rows)
     return StudyTables(table.drop(columns=list(COUNTS)), table[["user", "condition", *COUNTS]])
+
+
+def positions(cohort: Cohort, conditions: Sequence[Condition]) -> np.ndarray:
+    """(users, conditions): the position, from 1, of each condition in each user's order of the paper's nine.
+
+    Those beyond the paper's come after them, by letter.
+    """
+    users, nine = len(cohort.people), len(PAPER_LETTERS)
+    paper = counterbalanced_order(users, nine, cohort.seed)
+    beyond = sorted(c.letter for c in conditions if c.letter not in PAPER_LETTERS)
+    columns = [
+        paper[:, PAPER_LETTERS.index(c.letter)]
+        if c.letter in PAPER_LETTERS
+        else np.full(users, nine + 1 + beyond.index(c.letter))
+        for c in conditions
+    ]
+    return np.stack(columns, axis=1)
+
+
+def playing_order(cohort: Cohort, conditions: Sequence[Condition]) -> np.ndarray:
+    """(users, conditions): the places in `conditions` of each user's first condition, of the second, and so on."""
+    return np.argsort(positions(cohort, conditions), axis=1)

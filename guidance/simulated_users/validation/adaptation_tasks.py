@@ -1,4 +1,4 @@
-"""Force fields in which real hands have been measured: reaches to and fro, as in Smith, Ghazizadeh & Shadmehr 2006.
+"""Force fields in which real hands have been measured: reaches back and forth, as in Smith, Ghazizadeh & Shadmehr 2006.
 
 Two targets 10 cm apart take turns. A field acts on the hand for whole reaches; results have a value per person.
 """

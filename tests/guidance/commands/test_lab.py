@@ -46,10 +46,10 @@ def take_part(folder: Path, participant: str, *more: str) -> tuple[int, str, str
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory) -> Path:
-    """The records of two simulated people."""
+    """The records of two simulated people, who do not adapt: no game of theirs depends on another."""
     folder = tmp_path_factory.mktemp("lab")
     for label in ("S1", "S2"):
-        code, said, complained = take_part(folder, label)
+        code, said, complained = take_part(folder, label, "users.adaptation=off")
         assert code == 0, complained
         assert f"{label}: 9 of 9 games are played and rated." in said
     return folder
@@ -57,7 +57,7 @@ def two(tmp_path_factory) -> Path:
 
 def test_a_session_is_the_study_of_simulated_people_in_another_seat(two):
     """The same order and columns as `evaluate`; and where no force differs in its course, the same game to the bit."""
-    assert here(evaluate, "+preset=smoke", f"hydra.run.dir={two}/study")[0] == 0
+    assert here(evaluate, "+preset=smoke", "users.adaptation=off", f"hydra.run.dir={two}/study")[0] == 0
     session, study = pd.read_csv(two / "records" / "trials.csv"), pd.read_csv(two / "study" / "trials.csv")
     study["user"] = study["user"].map({"S01": "S1", "S02": "S2"})
     study = study.dropna(subset="user")
@@ -334,6 +334,7 @@ def test_without_its_device_nobody_is_enrolled(tmp_path):
         (["breath=-1"], "breath = -1 must be a finite number of at least 0 and at most 10"),
         (["safety.speed=0"], "safety.speed = 0 must be a finite number above 0"),
         (["opponent=1000"], "generation = 1000"),
+        (["users.adaptation=maybe"], "users.adaptation = 'maybe' must be on or off"),
         (["users.variant=V9"], "users.variant = 'V9' must be one of passive, comply_or_resist, goal_sharing"),
         (["participants=0"], "participants = 0 must be a whole number of at least 1"),
     ],

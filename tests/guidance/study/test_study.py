@@ -5,18 +5,22 @@ from collections import Counter
 from dataclasses import replace
 from io import StringIO
 from itertools import pairwise
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
 import pytest
 import torch
+from hydra import compose, initialize_config_dir
 
 from airhockey_marl.envs.physics import TableSpec
+from airhockey_marl.experiment.command import CONF
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.players.players import greedy
 from guidance.forces.condition_specs import ConditionSpec
 from guidance.forces.conditions import CombinedGuidance, Condition, NoGuidance, Spring, SpringGuidance, Thresholds
 from guidance.forces.lookahead import Lookahead
+from guidance.sessions.simulated_participant import SimulatedParticipant
 from guidance.simulated_users import NO_ADVISORS, SimulatedUsers, sample_people
 from guidance.statistics.codebook import tables_beside
 from guidance.study.batched_guidance import BatchedGuidance
@@ -30,8 +34,8 @@ from guidance.study.protocol import (
     spawn_rng_states,
     williams_design,
 )
-from guidance.study.setup import StudySetup
-from guidance.study.study import Cohort, run_studies, run_study
+from guidance.study.setup import StudySetup, manifest, study_hash
+from guidance.study.study import Cohort, playing_order, run_studies, run_study
 
 SHORT = Protocol(familiarization=0.2, rounds=2, extra_rounds=1, min_seconds=4, round_seconds=3)
 SPRING, UT = Spring(50.0, 3.0, 0.075), Thresholds(0.3, 0.6)
@@ -42,6 +46,7 @@ COMBHG = Condition(
     ConditionSpec("combhg_ut_ua_sc", "i", "CombHG (UT+UA+SC)"),
     CombinedGuidance(SpringGuidance("optimal", SPRING, UT), SpringGuidance("adapted", SPRING, UT), similarity=True),
 )
+KEY = ["user", "condition"]
 SCALES = dict.fromkeys(
     ("conflict", "unsupported", "supportive_power", "deviation", "effort", "jerk", "surprise", "hindsight"), 1.0
 )
@@ -58,14 +63,14 @@ def opponent(observation: torch.Tensor) -> torch.Tensor:
     return torch.stack([torch.full((len(observation),), -0.8), (2 * observation[:, 9]).clamp(-0.3, 0.3)], dim=1)
 
 
-def setup_of(models, conditions, protocol=SHORT) -> StudySetup:
-    play = {"opponent": opponent, "variant": "comply_or_resist", "advisors": NO_ADVISORS}
+def setup_of(models, conditions, protocol=SHORT, adaptation=True) -> StudySetup:
+    play = {"opponent": opponent, "variant": "comply_or_resist", "advisors": NO_ADVISORS, "adaptation": adaptation}
     models_and_course = {"models": models, "lookahead": Lookahead(0.1), "protocol": protocol}
     return StudySetup(conditions=conditions, **models_and_course, **play, rating_scales=SCALES)
 
 
-def study(models, conditions, protocol=SHORT, people=3, seed=0):
-    return run_study(sample_people(people, 100), setup_of(models, conditions, protocol), seed=seed).trials
+def study(models, conditions, protocol=SHORT, people=3, seed=0, adaptation=True):
+    return run_study(sample_people(people, 100), setup_of(models, conditions, protocol, adaptation), seed=seed).trials
 
 
 def test_equal_seeds_give_equal_trials(models):
@@ -83,12 +88,69 @@ def test_no_force_is_nhg_bit_for_bit(models):
     assert nhg[played].equals(none[played])
 
 
-def test_a_condition_is_played_alike_alone_and_among_others(models):
+def test_without_adaptation_a_condition_is_played_alike_alone_and_among_others(models):
     """To the last bit, models and springs included."""
-    together = study(models, [NHG, OAHG, UPHG_UA, COMBHG])
+    together = study(models, [NHG, OAHG, UPHG_UA, COMBHG], adaptation=False)
     for condition in (NHG, OAHG, UPHG_UA, COMBHG):
-        alone = study(models, [condition])
+        alone = study(models, [condition], adaptation=False)
         assert together[together["condition"] == condition.name].reset_index(drop=True).equals(alone)
+
+
+def test_people_who_adapt_bring_what_they_have_learned(models):
+    """A game before which there was no force is played as alone; under a force after another one, it is not."""
+    conditions = [NHG, OAHG, COMBHG]
+    together = study(models, conditions, people=6)
+    alone = pd.concat([study(models, [condition], people=6) for condition in conditions]).set_index(KEY)
+    for _, games in together.sort_values("position").set_index(KEY).groupby("user"):
+        had_force = False
+        for key, game in games.iterrows():
+            if not had_force:
+                assert game.equals(alone.loc[key])
+            elif key[1] != "nhg":
+                assert game["mean_disagreement"] != alone.loc[key, "mean_disagreement"]
+            had_force |= key[1] != "nhg"
+    assert together["position"].nunique() > 3
+
+
+def test_the_order_matters_to_people_who_adapt_and_to_no_others(models, monkeypatch):
+    """The same people and random numbers in two orders."""
+    forward = {on: study(models, [OAHG, COMBHG], adaptation=on) for on in (True, False)}
+    monkeypatch.setattr("guidance.study.study.counterbalanced_order", lambda *args: 10 - counterbalanced_order(*args))
+    backward = {on: study(models, [OAHG, COMBHG], adaptation=on) for on in (True, False)}
+    assert forward[False].drop(columns="position").equals(backward[False].drop(columns="position"))
+    assert (forward[True]["mean_disagreement"] != backward[True]["mean_disagreement"]).all()
+
+
+def test_conditions_follow_each_other_in_the_order_of_trials_csv(models):
+    mine = replace(OAHG, spec=replace(OAHG.spec, name="mine", letter="k"))
+    cohort, conditions = Cohort(sample_people(5, 1), 1), [NHG, OAHG, COMBHG, mine]
+    trials = run_studies([cohort], setup_of(models, conditions))[0].trials
+    names = [condition.name for condition in conditions]
+    for user, places in enumerate(playing_order(cohort, conditions)):
+        games = trials[trials["user"] == f"S{user + 1:02d}"].sort_values("position")
+        assert list(games["condition"]) == [names[place] for place in places]
+        assert names[places[-1]] == "mine"
+
+
+def test_forces_are_reported_game_by_game_in_every_wave(models):
+    """`on_forces` sees each scored and unscored tick of each game once, whether or not people adapt."""
+    ticks = {}
+    for adaptation in (True, False):
+        seen, progress = np.zeros(9, dtype=int), []
+
+        def count(output, games, seen=seen):
+            assert len(output.force) == len(games) and (np.diff(games) > 0).all()
+            seen[games] += 1
+
+        def tell(stage, share, progress=progress):
+            progress.append(share)
+
+        setup = setup_of(models, [NHG, OAHG, OAHG], Protocol(0.2, 1, 0, 0, 1.0), adaptation)
+        run_study(sample_people(3, 100), setup, seed=0, on_forces=count, progress=tell)
+        assert progress == sorted(progress) and progress[-1] == 1.0
+        ticks[adaptation] = seen
+    assert ticks[False].tolist() == [60] * 9  # of nobody who scores; 10 before it is scored
+    assert ticks[True].tolist() == [60] * 9
 
 
 def test_a_study_is_played_alike_alone_and_beside_others(models):
@@ -102,7 +164,7 @@ def test_a_study_is_played_alike_alone_and_beside_others(models):
 
 def test_shuffled_adaptation_changes_ua_and_nothing_else(models):
     cohorts = [Cohort(sample_people(n, n), n) for n in (3, 2)]
-    setup = setup_of(models, [NHG, OAHG, UPHG_UA])
+    setup = setup_of(models, [NHG, OAHG, UPHG_UA], adaptation=False)
     pairs = zip(run_studies(cohorts, setup), run_studies(cohorts, setup, shuffled_adaptation=True), strict=True)
     for (own, _), (shuffled, _) in pairs:
         ua = own["condition"] == "uphg_ua"
@@ -242,6 +304,36 @@ def test_adapted_parameters_are_required_by_ua():
     model = GaussianPolicy([4])
     with pytest.raises(ValueError, match="adapted"):
         BatchedGuidance([UPHG_UA], 2, Models(model, model, model, 0.1, {}), None, Lookahead(0.1))
+
+
+def test_a_run_is_frozen_only_with_all_nine_if_people_adapt(monkeypatch):
+    def is_frozen(*overrides: str) -> bool:
+        with initialize_config_dir(str(CONF), version_base="1.3"):
+            cfg = compose("evaluate", overrides=list(overrides))
+        fixed = {"study_hash": study_hash(cfg, {}), "seed": cfg.seed}
+        monkeypatch.setattr("guidance.study.setup.frozen_study", lambda: fixed)
+        return manifest(cfg, {}, "", 0.0)["frozen"]
+
+    assert is_frozen() and is_frozen("beyond=[product]")
+    assert not is_frozen("condition=nhg") and is_frozen("condition=nhg", "users.adaptation=off")
+
+
+def test_a_simulated_participant_takes_what_is_learned_into_the_next_game():
+    with initialize_config_dir(str(CONF), version_base="1.3"):
+        cfg = compose("lab", overrides=["device=simulated"])
+    person = SimulatedParticipant(sample_people(2, 100), 1, 0, cfg.users)
+    seat = SimpleNamespace(hand=SimpleNamespace(device=SimpleNamespace()))
+    for _ in range(100):
+        person.users.step(np.zeros((1, 12)), np.array([[1.0, 0.0]]))
+    before, learned = person.users, person.users.learned
+    person.begin_game(seat, 3)
+    assert seat.person is seat.hand.device.users is person.users is not before
+    assert learned.any() and np.array_equal(person.users.learned, learned)
+    cfg.users.adaptation = "off"
+    fixed = SimulatedParticipant(sample_people(2, 100), 1, 0, cfg.users)
+    for _ in range(100):
+        fixed.users.step(np.zeros((1, 12)), np.array([[1.0, 0.0]]))
+    assert not fixed.users.learned.any()
 
 
 @pytest.mark.parametrize("conditions", [2, 4, 9])
