@@ -27,7 +27,7 @@ def check(cfg: DictConfig) -> None:
 def main(cfg: DictConfig) -> None:
     from airhockey_marl.evaluation.league_metrics import EvaluationConfig, check_league, evaluate_league
     from airhockey_marl.evaluation.league_report import LAYOUT, TAGS, log_to_tensorboard, summary, write_report
-    from airhockey_marl.evaluation.matches import FRAME_SKIP
+    from airhockey_marl.evaluation.matches import match_options
     from airhockey_marl.evaluation.ratings import read_matches
     from airhockey_marl.experiment.tensorboard import log_run_header, open_writer, tensorboard_dir
     from airhockey_marl.league.league import League
@@ -41,11 +41,10 @@ def main(cfg: DictConfig) -> None:
         card = read_card(run / "card.json", league.hashes)
         if cfg.exploit_generations and "config" not in card:
             raise InputError(f"exploit_generations = {cfg.exploit_generations} needs a finished run: {run} has no card")
+        training = OmegaConf.create(card.get("config", {}))
+        sizes = cfg.every, cfg.rounds, cfg.match_rounds, cfg.save_tables, cfg.std_tables, cfg.std_seconds
+        config = EvaluationConfig(*sizes, cfg.seed, **match_options(training.get("env", {})))
     folder, progress, responses = output_folder(cfg), ProgressBar(), None
-    training = OmegaConf.create(card.get("config", {}))
-    sizes = cfg.every, cfg.rounds, cfg.match_rounds, cfg.save_tables, cfg.std_tables, cfg.std_seconds
-    frame_skip = OmegaConf.select(training, "env.frame_skip", default=FRAME_SKIP)
-    config = EvaluationConfig(*sizes, cfg.seed, frame_skip)
     if cfg.exploit_generations:
         last, rounds = len(league) - 1, cfg.match_rounds
         responses = best_response(training, league, last, cfg.exploit_generations, rounds, cfg.seed, progress)

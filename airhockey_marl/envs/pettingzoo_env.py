@@ -8,6 +8,7 @@ Observation   float32 (12,), in m and m/s from the table's center, x toward the 
                 8-11   puck               x, y, vx, vy
 Action        float32 (2,) in [-1, 1]: desired position of the own paddle, 0 at the midpoint of the own side, +-1 at
               the bounds of the paddle's center (section 3.1 of the paper). Values outside are clipped, NaN means stay.
+              With an `arm`, that of the own hand, whose position is then the paddle's desired one.
 Reward        +1 for a goal scored, -1 for a goal conceded, 0 otherwise.
 Episode       one round: terminates with a goal, is truncated after `round_seconds` (default 60 s).
 Step          `frame_skip` ticks of 20 ms with the same action (default 1).
@@ -26,6 +27,7 @@ import numpy as np
 from gymnasium.spaces import Box
 from pettingzoo import ParallelEnv
 
+from airhockey_marl.envs.hand_arm import HandArm
 from airhockey_marl.envs.physics import LEFT, RIGHT, TableSpec
 from airhockey_marl.envs.rendering import TableWindow, draw_table
 from airhockey_marl.envs.world import ACTION_SIZE, AGENTS, OBSERVATION_SIZE, World, round_steps
@@ -41,6 +43,7 @@ class AirHockey(ParallelEnv):
         table: sizes and limits; `TableSpec()` by default.
         render_mode: None, "rgb_array", or "human" for a window in which `reset` and `step` show the table at the
             speed of a real one.
+        arm: between the actions and the paddles, see `World`; None for none.
     """
 
     metadata: ClassVar[dict[str, Any]] = {
@@ -55,10 +58,11 @@ class AirHockey(ParallelEnv):
         frame_skip: int = 1,
         table: TableSpec | None = None,
         render_mode: str | None = None,
+        arm: HandArm | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode = {render_mode!r} must be None, 'human' or 'rgb_array'")
-        self.world = World(1, table, seed=None)
+        self.world = World(1, table, seed=None, arm=arm)
         self.frame_skip = frame_skip
         self.max_steps = round_steps(round_seconds, self.world.table, frame_skip)
         self.render_mode = render_mode

@@ -14,6 +14,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase, PettingZooWrapper, SerialEnv
 
+from airhockey_marl.envs.hand_arm import HandArm
 from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.world import ACTION_SIZE, AGENTS, OBSERVATION_SIZE, World, round_steps
@@ -34,6 +35,7 @@ class AirHockeyEnv(EnvBase):
         seed: of the serves; table i gets `seed` + i. None for one from the operating system's entropy.
         agent_flags: whether each agent has flags of its own. They say the same, as a round ends for both, and cost a
             third of the speed.
+        arm: as for `AirHockey`.
 
     Attributes:
         group_map: the agents of each group.
@@ -49,9 +51,10 @@ class AirHockeyEnv(EnvBase):
         table: TableSpec | None = None,
         seed: int | None = None,
         agent_flags: bool = True,
+        arm: HandArm | None = None,
     ) -> None:
         super().__init__(device="cpu", batch_size=[n])
-        self.world = World(n, table, seed)
+        self.world = World(n, table, seed, arm)
         self.group_map = {agent: [agent] for agent in AGENTS}
         self.frame_skip = frame_skip
         self.max_steps = round_steps(round_seconds, self.world.table, frame_skip)
@@ -108,7 +111,9 @@ class AirHockeyEnv(EnvBase):
         return TensorDict(entries | flags, [n])
 
 
-def make_env(backend: str, tables: int, round_seconds: float, frame_skip: int, seed: int) -> EnvBase:
+def make_env(
+    backend: str, tables: int, round_seconds: float, frame_skip: int, seed: int, arm: HandArm | None = None
+) -> EnvBase:
     """The environment of a collector: a batch of tables.
 
     Args:
@@ -116,9 +121,9 @@ def make_env(backend: str, tables: int, round_seconds: float, frame_skip: int, s
             with the same trajectories but slower: the way to use another PettingZoo game.
     """
     if backend == "batched":
-        return AirHockeyEnv(tables, round_seconds, frame_skip, seed=seed, agent_flags=False)
+        return AirHockeyEnv(tables, round_seconds, frame_skip, seed=seed, agent_flags=False, arm=arm)
     if backend == "pettingzoo":
-        makers = [partial(_wrapped, round_seconds, frame_skip, seed + i) for i in range(tables)]
+        makers = [partial(_wrapped, round_seconds, frame_skip, seed + i, arm) for i in range(tables)]
         env = SerialEnv(tables, makers)
         env.start()
         return env
@@ -131,10 +136,10 @@ def serve_rng_states(env: EnvBase) -> list[np.ndarray]:
     return [each.world.rng for each in envs]
 
 
-def _wrapped(round_seconds: float, frame_skip: int, seed: int) -> EnvBase:
+def _wrapped(round_seconds: float, frame_skip: int, seed: int, arm: HandArm | None) -> EnvBase:
     with warnings.catch_warnings():  # TorchRL is tested with PettingZoo 1.24.3 only
         warnings.filterwarnings("ignore", message="PettingZoo in TorchRL is tested")
-        game = AirHockey(round_seconds, frame_skip)
+        game = AirHockey(round_seconds, frame_skip, arm=arm)
         env = PettingZooWrapper(game, group_map={agent: [agent] for agent in AGENTS}, use_mask=False)
     game.world.seed(seed)  # set_seed would reset, and so draw a serve
     return env

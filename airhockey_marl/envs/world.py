@@ -5,6 +5,7 @@ from math import cos, floor, hypot, pi, sin
 import numpy as np
 from numba import njit
 
+from airhockey_marl.envs.hand_arm import HandArm, move_hand
 from airhockey_marl.envs.physics import (
     LEFT,
     PUCK,
@@ -92,16 +93,27 @@ def referee(bodies: np.ndarray, timers: np.ndarray, rng: np.ndarray, index: int,
 
 
 @compiled
-def _play_table(index, bodies, timers, rng, actions, ticks, goals, touched, served, values):
+def _write_target(target, agent, action_x, action_y, table):
+    half_x, half_y = table.length / 4 - table.paddle_radius, table.width / 2 - table.paddle_radius
+    turn = 1.0 if agent == LEFT else -1.0
+    target[X] = turn * (clamp(action_x, -1.0, 1.0) * half_x - table.length / 4)
+    target[Y] = turn * (clamp(action_y, -1.0, 1.0) * half_y)
+
+
+@compiled
+def _play_table(index, bodies, timers, rng, hands, actions, ticks, goals, touched, served, values, arm_values):
     table = TableSpec(*values)
     targets = np.empty((2, 2))
-    half_x, half_y = table.length / 4 - table.paddle_radius, table.width / 2 - table.paddle_radius
     for agent in (LEFT, RIGHT):
-        turn = 1.0 if agent == LEFT else -1.0
-        targets[agent, X] = turn * (clamp(actions[index, agent, X], -1.0, 1.0) * half_x - table.length / 4)
-        targets[agent, Y] = turn * (clamp(actions[index, agent, Y], -1.0, 1.0) * half_y)
+        _write_target(targets[agent], agent, actions[index, agent, X], actions[index, agent, Y], table)
     goals[index], touched[index], served[index] = 0, 0, False
     for _ in range(ticks):
+        if arm_values is not None:  # decided when it is compiled
+            arm = HandArm(*arm_values)
+            for agent in (LEFT, RIGHT):
+                hand = hands[index, agent]
+                move_hand(hand, actions[index, agent], table.tick, arm)
+                _write_target(targets[agent], agent, hand[X] / arm.reach, hand[Y] / arm.reach, table)
         goal, touch = step_physics(bodies[index], targets, table)
         touched[index] |= touch
         if goal != 0:
@@ -111,9 +123,9 @@ def _play_table(index, bodies, timers, rng, actions, ticks, goals, touched, serv
 
 
 @njit(cache=True, nogil=True)
-def _play_tables(indices, bodies, timers, rng, actions, ticks, goals, touched, served, values):
+def _play_tables(indices, bodies, timers, rng, hands, actions, ticks, goals, touched, served, values, arm_values):
     for index in indices:
-        _play_table(index, bodies, timers, rng, actions, ticks, goals, touched, served, values)
+        _play_table(index, bodies, timers, rng, hands, actions, ticks, goals, touched, served, values, arm_values)
 
 
 @compiled
@@ -144,6 +156,7 @@ class World:
         n: number of tables.
         table: sizes and limits of all tables; `TableSpec()` by default.
         seed: see the method `seed`.
+        arm: between every action and its paddle; None where the action is the paddle's desired position itself.
 
     Attributes:
         table: the `TableSpec`.
@@ -153,18 +166,23 @@ class World:
         served: (n,) bool, the puck was served again in the last `step`.
         timers: (n, 3) float64, the referee's memory, see `referee`.
         rng: (n,) uint64, states of the random numbers.
+        hands: (n, 2, 4) float64, with an arm the hand of each agent, egocentric x, y, vx, vy in m and m/s.
     """
 
     PARALLEL_FROM = 256  # tables; below, starting the threads costs more than they save
 
-    def __init__(self, n: int, table: TableSpec | None = None, seed: int | None = 0) -> None:
+    def __init__(
+        self, n: int, table: TableSpec | None = None, seed: int | None = 0, arm: HandArm | None = None
+    ) -> None:
         check_counts(tables=n)
         self.n, self.table = n, check_table(table or TableSpec())
         self._values = tuple(self.table)  # numba takes a plain tuple faster than a NamedTuple, by 1.5 us a call
+        self._arm_values = None if arm is None else tuple(map(float, arm.check(self.table.tick)))
         self._all = np.arange(n)
         self.bodies = np.zeros((n, 3, 4))
         self.timers = np.zeros((n, 3))
         self.rng = np.zeros(n, dtype=np.uint64)
+        self.hands = np.zeros((n, 2, 4))
         self.goals = np.zeros(n, dtype=np.int64)
         self.touched = np.zeros(n, dtype=np.int64)
         self.served = np.zeros(n, dtype=np.bool_)
@@ -184,13 +202,15 @@ class World:
         if not isinstance(mask, np.ndarray) or mask.shape != (self.n,) or mask.dtype != bool:
             raise ValueError(f"mask: {kind_of(mask)}, must be bools of shape {(self.n,)}")
         _new_rounds(self.bodies, self.timers, self.rng, mask, self._values)
+        if self._arm_values is not None:
+            self.hands[mask] = 0.0  # at rest in the middle, as the paddles are
 
     def step(self, actions: np.ndarray, ticks: int = 1, indices: np.ndarray | None = None) -> None:
         """Play one tick, or several with the same actions; a table stops at a goal.
 
         Args:
-            actions: (n, 2, 2) float, for each agent the desired position of its paddle, egocentric, in [-1, 1];
-                values outside are clipped, NaN means stay.
+            actions: (n, 2, 2) float, for each agent the desired position of its paddle, or with an arm of its hand,
+                egocentric, in [-1, 1]; values outside are clipped, NaN means stay, or with an arm no force.
             ticks: of `table.tick` seconds.
             indices: (k,) int64, the tables to step, by default all; the others do not change.
         """
@@ -204,7 +224,8 @@ class World:
         if not isinstance(ticks, INTEGERS) or ticks < 0:
             raise ValueError(f"ticks = {ticks!r} must be a whole number of at least 0")
         results = self.goals, self.touched, self.served
-        arguments = (self.bodies, self.timers, self.rng, actions, ticks, *results, self._values)
+        state = self.bodies, self.timers, self.rng, self.hands
+        arguments = (*state, actions, ticks, *results, self._values, self._arm_values)
         parallel_for(_play_tables, indices, *arguments, least=self.PARALLEL_FROM // 2)
 
     def observe(self, agent: int, out: np.ndarray) -> np.ndarray:

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pandas as pd
 import torch
 from omegaconf import OmegaConf
 from torch import nn
 
-from airhockey_marl.evaluation.matches import RESULT_COLUMNS, MatchResult, play_matches
+from airhockey_marl.evaluation.matches import RESULT_COLUMNS, MatchResult, match_options, play_matches
 from airhockey_marl.experiment.config import read_config
 from airhockey_marl.experiment.files import load_json
 from airhockey_marl.experiment.html import number
@@ -50,7 +50,7 @@ class Run:
         algorithm: the name, such as TRPO.
         steps: of training per generation.
         seconds: of the whole training, from its card.
-        frame_skip: ticks for which an action is held.
+        options: how matches are played, see `matches.match_options`.
     """
 
     folder: Path
@@ -59,7 +59,7 @@ class Run:
     league: League
     steps: int
     seconds: float
-    frame_skip: int
+    options: Mapping[str, Any]
 
     @property
     def last(self) -> int:
@@ -77,21 +77,21 @@ def read_run(folder: Path) -> Run:
     missing = [key for key, value in zip(keys, settings, strict=True) if value is None]
     if missing or "seconds" not in card:
         raise ValueError(f"runs: {folder} has no {', '.join(missing or ['seconds'])}")
-    name, seed, steps, frame_skip = settings
+    name, seed, steps, _ = settings
     league = League.load(folder / LEAGUE_FILE)
-    return Run(folder, name.upper(), seed, league, steps, card["seconds"], frame_skip)
+    return Run(folder, name.upper(), seed, league, steps, card["seconds"], match_options(cfg.env))
 
 
 def check_runs(runs: Sequence[Run]) -> None:
-    """Raise a ValueError if an algorithm has the same seed twice, or runs differ in `frame_skip`."""
+    """Raise a ValueError if an algorithm has the same seed twice, or runs differ in the options of their matches."""
     for one, other in itertools.combinations(runs, 2):
         if (one.algorithm, one.seed) == (other.algorithm, other.seed):
             raise ValueError(f"runs: {one.algorithm} with seed {one.seed} twice, in {one.folder} and {other.folder}")
-        if one.frame_skip != other.frame_skip:
-            raise ValueError(
-                f"runs: env.frame_skip = {one.frame_skip} in {one.folder}, {other.frame_skip} in {other.folder}, "
-                "must be equal"
-            )
+        for name, value in one.options.items():
+            if value != (another := other.options[name]):
+                raise ValueError(
+                    f"runs: env.{name} = {value} in {one.folder}, {another} in {other.folder}, must be equal"
+                )
 
 
 def compare(runs: Sequence[Run], rounds: int, seed: int) -> pd.DataFrame:
@@ -113,14 +113,14 @@ def compare(runs: Sequence[Run], rounds: int, seed: int) -> pd.DataFrame:
         generations = sorted({run.last * quarter // 4 for quarter in range(5)})
         matches = list(itertools.product(generations, [*SCRIPTS, 0]))
         left, right = (run.league.opponent_batch(player_ids) for player_ids in zip(*matches, strict=True))
-        results = play(left, right, len(matches), rounds, seed, run.frame_skip)
+        results = play(left, right, len(matches), rounds, seed, run.options)
         for (generation, opponent), result in zip(matches, results, strict=True):
             add_row(run, generation, opponent or GENERATION_0, None, result)
         progress("against scripts and generation 0", done / len(runs))
     pairs = list(itertools.combinations(runs, 2))
     for done, (one, other) in enumerate(pairs, 1):
         left, right = (run.league.player(run.last) for run in (one, other))
-        [result] = play(left, right, 1, rounds, seed, one.frame_skip)
+        [result] = play(left, right, 1, rounds, seed, one.options)
         add_row(one, one.last, other.algorithm, other.seed, result)
         add_row(other, other.last, one.algorithm, one.seed, MatchResult(result.losses, result.wins, result.draws))
         progress("against each other", done / len(pairs))
@@ -128,7 +128,9 @@ def compare(runs: Sequence[Run], rounds: int, seed: int) -> pd.DataFrame:
     return pd.DataFrame(rows).astype({"opponent_seed": "Int64"})
 
 
-def play(left: nn.Module, right: nn.Module, matches: int, rounds: int, seed: int, frame_skip: int) -> list[MatchResult]:
+def play(
+    left: nn.Module, right: nn.Module, matches: int, rounds: int, seed: int, options: Mapping[str, Any]
+) -> list[MatchResult]:
     """Results of the left players of matches side by side, of `rounds` rounds each; all sample their actions.
 
     Either side is a batch of as many players as there are matches, or one policy.
@@ -137,7 +139,7 @@ def play(left: nn.Module, right: nn.Module, matches: int, rounds: int, seed: int
     rounds_per_table = -(-rounds // MAX_TABLES)
     tables = -(-rounds // rounds_per_table)
     players = (stochastic(policy, generator) for policy in (left, right))
-    return play_matches(*players, matches, tables, rounds_per_table, seed, frame_skip=frame_skip)
+    return play_matches(*players, matches, tables, rounds_per_table, seed, **options)
 
 
 def win_rates(results: pd.DataFrame) -> pd.DataFrame:

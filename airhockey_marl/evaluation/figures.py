@@ -16,6 +16,7 @@ import pandas as pd
 import torch
 from PIL import Image
 
+from airhockey_marl.envs.hand_arm import HandArm
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.envs.rendering import draw_table
 from airhockey_marl.envs.world import World, round_steps
@@ -220,6 +221,7 @@ def film(
     seconds: float = 10.0,
     width: int = 320,
     frame_skip: int = FRAME_SKIP,
+    arm: HandArm | None = None,
 ) -> bytes:
     """An animated GIF of a match between two members, left and right: round after round, a picture per decision.
 
@@ -229,7 +231,7 @@ def film(
         stochastic(league.opponent_batch([member]), torch.Generator().manual_seed(seed + seat))
         for seat, member in enumerate(members)
     )
-    world = World(1, seed=seed)
+    world = World(1, seed=seed, arm=arm)
     world.new_rounds()
     between, palette = frame_skip * world.table.tick, None
     steps = rollout(world, (left, right), frame_skip, round_steps(ROUND_SECONDS, world.table, frame_skip))

@@ -1,7 +1,7 @@
 """The evaluation of a league: payoff matrix, ratings, saves, and the STD of the last generation by situation."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from enum import IntEnum
 from functools import partial
 from typing import Any, NamedTuple
@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 import torch
 
+from airhockey_marl.envs.hand_arm import HandArm
 from airhockey_marl.evaluation.matches import RESULT_COLUMNS, MatchResult
 from airhockey_marl.evaluation.policy_std import record_trajectories, smoothness, std_by_situation, std_map
 from airhockey_marl.evaluation.ratings import (
@@ -56,7 +57,7 @@ class EvaluationConfig:
         save_tables: where saves are counted, for `SAVES_ROUND_SECONDS` each, for the last generation and the script.
         std_tables, std_seconds: tables where the STD is measured, and seconds of play at each.
         seed: of all random numbers.
-        frame_skip: ticks for which an action is held, as in the league's training.
+        frame_skip, arm: ticks for which an action is held, and the arm if there is one, as in the league's training.
     """
 
     every: int
@@ -67,6 +68,13 @@ class EvaluationConfig:
     std_seconds: float
     seed: int
     frame_skip: int
+    arm: HandArm | None = None
+
+    def as_dict(self) -> dict[str, Any]:
+        """Values for JSON and the page; the arm only if there is one."""
+        values = asdict(self)
+        del values["arm"]
+        return values if self.arm is None else values | {"arm": self.arm._asdict()}
 
 
 class Regressions(NamedTuple):
@@ -194,8 +202,8 @@ def evaluate_league(
     """
     training = wins_of_matches(matches) if matches is not None and not matches.empty else None
     last, player_ids, seed = len(league) - 1, payoff_players(len(league), config.every), config.seed + SEED_OFFSET
-    frame_skip = {"frame_skip": config.frame_skip}
-    options = frame_skip | {"tables_per_pair": PAYOFF_TABLES, "progress": partial(progress, "payoff matrix")}
+    as_trained = {"frame_skip": config.frame_skip, "arm": config.arm}
+    options = as_trained | {"tables_per_pair": PAYOFF_TABLES, "progress": partial(progress, "payoff matrix")}
     score = payoff(league, player_ids, config.rounds, config.seed, **options)
     wins, ratings = score[..., 0], ratings_table(player_ids, score[..., 0])
     rating_of = dict(zip(player_ids, ratings["rating"], strict=True))
@@ -203,7 +211,7 @@ def evaluate_league(
     midpoint = min(generations_of(player_ids), key=lambda generation: abs(generation - last / 2))
     opponents = [*benchmark_generations(last), strongest]
     pairs = [(last, opponent) for opponent in opponents]
-    options = frame_skip | {"tables_per_pair": MATCH_TABLES, "progress": partial(progress, "matches")}
+    options = as_trained | {"tables_per_pair": MATCH_TABLES, "progress": partial(progress, "matches")}
     results = play_pairs(league, pairs, config.match_rounds, seed, **options)
 
     def player(player_id: PlayerId, stream: RandomStream) -> Player:
@@ -213,13 +221,13 @@ def evaluate_league(
     for done, (name, player_id) in enumerate({"last": last, DEFENDER: DEFENDER}.items()):
         progress("saves", done / 2)
         players = player(player_id, RandomStream.DEFENDING), player(ATTACKER, RandomStream.ATTACKING)
-        counts = count_saves(*players, config.save_tables, seed, SAVES_ROUND_SECONDS, **frame_skip)
+        counts = count_saves(*players, config.save_tables, seed, SAVES_ROUND_SECONDS, **as_trained)
         saves[name] = Proportion.from_counts(counts.blocked, sum(counts))
     for done, (name, player_id) in enumerate({"last": last, strongest: strongest}.items()):
         progress("STD", done / 2)
         policy, opponent = league.opponent_batch([player_id]), player(last, RandomStream.OPPOSING)
         sizes = config.std_tables, config.std_seconds
-        trajectories[name] = record_trajectories(policy, opponent, *sizes, seed, **frame_skip)
+        trajectories[name] = record_trajectories(policy, opponent, *sizes, seed, **as_trained)
     return LeagueMetrics(
         player_ids=player_ids,
         score=score,

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 from collections.abc import Mapping
-from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -64,13 +63,13 @@ def write_report(
         card: the model card, shown on the page.
     """
     players = metrics.last, metrics.strongest_script
-    film = figures.film(league, players, config.seed, frame_skip=config.frame_skip)
+    film = figures.film(league, players, config.seed, frame_skip=config.frame_skip, arm=config.arm)
     pictures = draw_figures(metrics, matches) | {"match.gif": film}
     for name, content in pictures.items():
         write_bytes(folder / name, content)
     write_text(folder / "payoff.csv", metrics.payoff_table().to_csv(index=False))
     write_text(folder / "ratings.csv", metrics.ratings_table().to_csv(index=False))
-    write_json(folder / "league_report.json", {"config": asdict(config), **metrics.as_dict()})
+    write_json(folder / "league_report.json", {"config": config.as_dict(), **metrics.as_dict()})
     write_text(folder / "league_report.html", page(metrics, pictures, card, config))
 
 
@@ -194,7 +193,7 @@ def page(
         std=list(metrics.std.itertuples()),
         league_metrics=league_metrics,
         policy_std=policy_std,
-        config=asdict(config),
+        config=config.as_dict(),
         card=card,
     )
 

@@ -1,10 +1,12 @@
 """Matches between two players: how many rounds each wins."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 import torch
 
+from airhockey_marl.envs.hand_arm import HandArm, arm_from_config
 from airhockey_marl.envs.world import World, round_steps
 from airhockey_marl.league.league import OpponentBatch, PlayerId
 from airhockey_marl.players.networks import GaussianPolicy
@@ -31,6 +33,11 @@ class MatchResult(NamedTuple):
         return dict(zip(RESULT_COLUMNS, self, strict=True))
 
 
+def match_options(env: Mapping[str, Any]) -> dict[str, Any]:
+    """The options with which matches are played as the environment `env` of a training's configuration."""
+    return {"frame_skip": env.get("frame_skip", FRAME_SKIP), "arm": arm_from_config(env.get("arm"))}
+
+
 @torch.no_grad()
 def play_rounds(
     left: Player,
@@ -40,13 +47,14 @@ def play_rounds(
     seed: int,
     round_seconds: float = 30.0,
     frame_skip: int = FRAME_SKIP,
+    arm: HandArm | None = None,
 ) -> np.ndarray:
     """Play `rounds` successive rounds at each of `tables` tables, each until a goal or for `round_seconds`.
 
     Returns:
         (tables, 3) int: wins of the left player, losses, and draws, as in `MatchResult`.
     """
-    world = World(tables, seed=seed)
+    world = World(tables, seed=seed, arm=arm)
     world.new_rounds()
     max_steps = round_steps(round_seconds, world.table, frame_skip)
     # columns by the goal: 0 a goal of the left player (+1), 1 none (0), 2 a goal of the right player (-1)
@@ -77,10 +85,13 @@ def play_match(left: Player, right: Player, rounds: int, seed: int, **options: A
 
 
 def play_opponents(
-    policy: GaussianPolicy, opponents: OpponentBatch, rounds: int, seed: int, frame_skip: int
+    policy: GaussianPolicy, opponents: OpponentBatch, rounds: int, seed: int, **options: Any
 ) -> dict[PlayerId, MatchResult]:
-    """A match of one policy against each of several different opponents; both sample their actions, as in training."""
+    """A match of one policy against each of several different opponents; both sample their actions, as in training.
+
+    See `play_rounds` for the options.
+    """
     generator = torch.Generator().manual_seed(seed)
     left, right = stochastic(policy, generator), stochastic(opponents, generator)
-    results = play_matches(left, right, len(opponents.player_ids), rounds, 1, seed, frame_skip=frame_skip)
+    results = play_matches(left, right, len(opponents.player_ids), rounds, 1, seed, **options)
     return dict(zip(opponents.player_ids, results, strict=True))

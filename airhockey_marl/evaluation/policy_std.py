@@ -22,6 +22,7 @@ import pandas as pd
 import torch
 from torch import Tensor
 
+from airhockey_marl.envs.hand_arm import HandArm
 from airhockey_marl.envs.physics import LEFT, TOUCHED_BY, TableSpec
 from airhockey_marl.envs.puck_path import seconds_to_goal
 from airhockey_marl.envs.world import OBSERVATION_SIZE, World, round_steps
@@ -67,9 +68,10 @@ def record_trajectories(
     seed: int,
     round_seconds: float = 30.0,
     frame_skip: int = FRAME_SKIP,
+    arm: HandArm | None = None,
 ) -> Trajectories:
     """Record a policy, on the left and sampling as in training, for `seconds` at each table."""
-    world, generator = World(tables, seed=seed), torch.Generator().manual_seed(seed)
+    world, generator = World(tables, seed=seed, arm=arm), torch.Generator().manual_seed(seed)
     world.new_rounds()
     decisions, max_steps = (round_steps(duration, world.table, frame_skip) for duration in (seconds, round_seconds))
     observation = np.empty((decisions, tables, OBSERVATION_SIZE), dtype=np.float32)

@@ -15,7 +15,7 @@ import pandas as pd
 import torch
 from scipy import stats
 
-from airhockey_marl.evaluation.matches import FRAME_SKIP, RESULT_COLUMNS, play_matches
+from airhockey_marl.evaluation.matches import RESULT_COLUMNS, play_matches
 from airhockey_marl.experiment.validation.tables import Column, read_table
 from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.players.players import stochastic
@@ -79,8 +79,8 @@ def play_pairs(
     rounds: int,
     seed: int,
     tables_per_pair: int = 10,
-    frame_skip: int = FRAME_SKIP,
     progress: Callable[[float], None] | None = None,
+    **options: Any,
 ) -> np.ndarray:
     """Let each pair of players play `rounds` rounds, many pairs side by side, with actions sampled as in training.
 
@@ -89,6 +89,7 @@ def play_pairs(
     Args:
         tables_per_pair: the largest number of tables among which a pair's rounds are divided, evenly.
         progress: called with the fraction of pairs that have played.
+        options: see `matches.play_rounds`.
 
     Returns:
         (pairs, 3) int: wins of the first of each pair, losses, and draws.
@@ -101,9 +102,7 @@ def play_pairs(
         chunk = pairs[first : first + chunk_size]
         left, right = (stochastic(league.opponent_batch(ids), generator) for ids in zip(*chunk, strict=True))
         sizes = (len(chunk), tables, rounds // tables)
-        score[first : first + len(chunk)] = play_matches(
-            left, right, *sizes, seed + first * tables, frame_skip=frame_skip
-        )
+        score[first : first + len(chunk)] = play_matches(left, right, *sizes, seed + first * tables, **options)
         if progress:
             progress((first + len(chunk)) / len(pairs))
     return score

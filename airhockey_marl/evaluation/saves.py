@@ -14,6 +14,7 @@ import numpy as np
 import torch
 from numba import njit
 
+from airhockey_marl.envs.hand_arm import HandArm
 from airhockey_marl.envs.physics import LEFT, RIGHT, TOUCHED_BY
 from airhockey_marl.envs.puck_path import BLOCKED, CONCEDED, shot_outcome, without_paddles, would_score
 from airhockey_marl.envs.world import ACTION_SIZE, OBSERVATION_SIZE, World, round_steps
@@ -54,13 +55,14 @@ def count_saves(
     seed: int,
     round_seconds: float = 30.0,
     frame_skip: int = FRAME_SKIP,
+    arm: HandArm | None = None,
 ) -> Saves:
     """Count the saves of `player`, on the left, against `attacker` at `tables` tables for `round_seconds` each.
 
     After a goal a table begins a new round. The tables are stepped tick by tick, each action held for `frame_skip`
     ticks, since two touches may be a tick apart.
     """
-    world = World(tables, seed=seed)
+    world = World(tables, seed=seed, arm=arm)
     world.new_rounds()
     no_paddles = without_paddles(world.table)
     shot, counts = np.zeros(tables, dtype=bool), np.zeros(2, dtype=np.int64)

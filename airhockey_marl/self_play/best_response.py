@@ -10,7 +10,7 @@ import torch
 from omegaconf import DictConfig, OmegaConf
 
 from airhockey_marl.algorithms.reward_shaping import shaping_strength
-from airhockey_marl.evaluation.matches import MatchResult, play_opponents
+from airhockey_marl.evaluation.matches import MatchResult, match_options, play_opponents
 from airhockey_marl.league.league import League, PlayerId
 from airhockey_marl.self_play.collectors import SINGLE
 from airhockey_marl.self_play.trainer import SelfPlayTrainer
@@ -37,6 +37,7 @@ def best_response(
     """
     local = {"seed": seed, "compute": "cpu", "collector": {"kind": SINGLE, "workers": 1}, "env": {"backend": "batched"}}
     cfg = OmegaConf.merge(cfg, local)
+    options = match_options(cfg.env)
     history = []
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
@@ -45,7 +46,7 @@ def best_response(
         for generation in range(1, generations + 1):
             strength = shaping_strength(generation, generations)
             trainer.train_generation(opponents, cfg.steps_per_generation, strength)
-            results = play_opponents(trainer.policy, opponents, rounds, seed + generation, cfg.env.frame_skip)
+            results = play_opponents(trainer.policy, opponents, rounds, seed + generation, **options)
             history.append((generation * cfg.steps_per_generation, results[target]))
             progress("best response", generation / generations)
         trainer.workers.close()

@@ -12,7 +12,7 @@ from torch.utils.tensorboard import SummaryWriter
 from airhockey_marl.algorithms.divergence import name_divergence
 from airhockey_marl.algorithms.reward_shaping import shaping_strength
 from airhockey_marl.evaluation import figures
-from airhockey_marl.evaluation.matches import MatchResult, play_opponents
+from airhockey_marl.evaluation.matches import MatchResult, match_options, play_opponents
 from airhockey_marl.experiment.checkpoint import Checkpoint
 from airhockey_marl.experiment.command import report_input_errors
 from airhockey_marl.experiment.config import STATE_FILE, InputError
@@ -135,7 +135,7 @@ def evaluate_generation(league: League, generation: int, cfg: DictConfig) -> dic
     """Matches of a new generation against every `league.match_every`-th one before it and the scripted players."""
     opponents = league.opponent_batch([*range(0, generation, cfg.league.match_every), *REFERENCE_PLAYERS])
     seed = cfg.seed + SEED_STRIDE * generation
-    return play_opponents(league.player(generation), opponents, cfg.league.match_rounds, seed, cfg.env.frame_skip)
+    return play_opponents(league.player(generation), opponents, cfg.league.match_rounds, seed, **match_options(cfg.env))
 
 
 def log_generation(
@@ -156,7 +156,7 @@ def log_generation(
     for name, value in {**scalars, "speed/steps_per_s": step / training.seconds}.items():
         writer.add_scalar(name, value, step)
     if cfg.pictures_every and (generation % cfg.pictures_every == 0 or generation == cfg.generations):
-        players, options = (generation, STRONGEST_SCRIPT), {"frame_skip": cfg.env.frame_skip, "width": FILM_WIDTH}
+        players, options = (generation, STRONGEST_SCRIPT), {"width": FILM_WIDTH, **match_options(cfg.env)}
         film = figures.film(training.league, players, cfg.seed, FILM_SECONDS, **options)
         add_picture(writer, "league/film", film, step)
         heat_map = png_bytes(figures.win_rates_figure(pd.DataFrame(training.matches)), 100)
@@ -169,7 +169,7 @@ def model_card(cfg: DictConfig, league: League) -> dict:
     last = len(league) - 1
     opponents = [*sorted({0, last // 4, last // 2, 3 * last // 4} - {last}), *REFERENCE_PLAYERS]
     rounds, batch = CARD_ROUNDS_FACTOR * cfg.league.match_rounds, league.opponent_batch(opponents)
-    results = play_opponents(league.player(last), batch, rounds, cfg.seed + 1, cfg.env.frame_skip)
+    results = play_opponents(league.player(last), batch, rounds, cfg.seed + 1, **match_options(cfg.env))
     return {
         "model": "optimal action model: a league of self-play generations (section 3.2.2)",
         "steps": cfg.generations * cfg.steps_per_generation,

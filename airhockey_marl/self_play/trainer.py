@@ -10,6 +10,7 @@ from tensordict import TensorDictBase
 from airhockey_marl.algorithms.base import ALGORITHMS, Learner
 from airhockey_marl.algorithms.divergence import require_finite_modules, require_sound_metrics
 from airhockey_marl.algorithms.reward_shaping import RewardShaping
+from airhockey_marl.envs.hand_arm import arm_from_config
 from airhockey_marl.league.league import OpponentBatch
 from airhockey_marl.players.networks import GaussianPolicy
 from airhockey_marl.self_play.collectors import CollectorConfig, RolloutWorkers
@@ -37,7 +38,8 @@ class SelfPlayTrainer:
         """A new policy and all that trains it, from a configuration as `conf/train.yaml`."""
         policy = GaussianPolicy(cfg.hidden, cfg.inputs).to(cfg.compute)
         learner = ALGORITHMS.build(cfg.algorithm, "algorithm").learner(policy, cfg.gamma)
-        workers = RolloutWorkers(CollectorConfig(**cfg.collector), cfg.env, cfg.seed, policy, cfg.batch)
+        env = {**cfg.env, "arm": arm_from_config(cfg.env.get("arm"))}
+        workers = RolloutWorkers(CollectorConfig(**cfg.collector), env, cfg.seed, policy, cfg.batch)
         shaping = RewardShaping(cfg.shaping.position, cfg.shaping.velocity, cfg.shaping.shot, cfg.shaping.approach)
         return cls(policy, learner, workers, shaping, cfg.gamma)
 

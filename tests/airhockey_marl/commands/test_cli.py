@@ -57,7 +57,12 @@ def test_train_gives_the_same_weights_for_the_same_seed_in_either_environment(ru
 
 @pytest.mark.parametrize(
     ("how", "drawn"),
-    [("env=batched", 4), ("env=pettingzoo", 0), pytest.param("collector=multisync", 0, marks=pytest.mark.slow)],
+    [
+        ("env=batched", 4),
+        ("env=pettingzoo", 0),
+        ("env=hand", 0),
+        pytest.param("collector=multisync", 0, marks=pytest.mark.slow),
+    ],
 )
 def test_train_killed_and_resumed_ends_like_one_never_killed(tmp_path, how, drawn):
     """SIGKILL as soon as the first generation is behind it; the league and the card's scores are then the same."""
@@ -244,6 +249,7 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
         ("train", "hidden=[]", "hidden"),
         ("train", "inputs=puck", "inputs = 'puck' must be 'table' or 'paddle'"),
         ("train", "resume=nowhere", "resume = nowhere is not the folder of a run"),
+        ("train", "env.arm={mass: -1}", "env.arm.mass = -1 must be a finite number of at least"),
         ("train", "collector.workers=2", "collector.workers = 2 must be 1 where collector.kind = single"),
         ("train", "compute=tpu", "compute = tpu must be one of cpu"),
         ("meta_train", "maml.inner_lr=-0.1", "maml.inner_lr = -0.1"),

@@ -11,6 +11,7 @@ from pettingzoo.utils.conversions import parallel_to_aec
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torchrl.envs.utils import check_env_specs
 
+from airhockey_marl.envs.hand_arm import HandArm
 from airhockey_marl.envs.pettingzoo_env import AirHockey
 from airhockey_marl.envs.physics import PUCK, RIGHT, TableSpec
 from airhockey_marl.envs.rendering import draw_table
@@ -118,11 +119,11 @@ def test_seeded_serves_are_those_of_earlier_versions():
     assert world.rng.tolist() == [16661312662014107006, 13289283414446607635]
 
 
-@pytest.mark.parametrize("frame_skip", [1, 3])
-def test_both_backends_give_the_same_trajectories_bit_for_bit(frame_skip):
+@pytest.mark.parametrize(("frame_skip", "arm"), [(1, None), (3, None), (2, HandArm())])
+def test_both_backends_give_the_same_trajectories_bit_for_bit(frame_skip, arm):
     generator = torch.Generator().manual_seed(0)
     actions = 2.4 * torch.rand(400, 2, 3, 1, 2, generator=generator) - 1.2  # some of them to be clipped
-    batched, pettingzoo = (make_env(backend, 3, 2.0, frame_skip, 5) for backend in ("batched", "pettingzoo"))
+    batched, pettingzoo = (make_env(backend, 3, 2.0, frame_skip, 5, arm) for backend in ("batched", "pettingzoo"))
     assert torch.equal(rollout(batched, actions), rollout(pettingzoo, actions))
 
 

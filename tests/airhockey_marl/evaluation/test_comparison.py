@@ -1,6 +1,7 @@
 """The comparison of algorithms: from run folders to the table, the csv and the figure; invalid runs."""
 
 import json
+import shutil
 import sys
 from pathlib import Path
 
@@ -94,7 +95,7 @@ def test_comparison_is_reproducible(sweep):
 def test_match_has_the_given_number_of_rounds():
     policy = GaussianPolicy([8])
     for rounds in (1, 100, 150):
-        [counts] = compare.play(policy, policy, 1, rounds, 0, frame_skip=25)
+        [counts] = compare.play(policy, policy, 1, rounds, 0, {"frame_skip": 25})
         assert sum(counts) == rounds
 
 
@@ -182,5 +183,11 @@ def test_unreadable_and_incomparable_runs_are_named(monkeypatch, capsys, sweep, 
     for name in ("league.safetensors", "card.json"):
         (sweep / "3" / name).unlink(missing_ok=True)
     assert "runs: env.frame_skip = 25" in refused()
+    shutil.rmtree(sweep / "4")
+    make_run(sweep / "4", "PPO", 0, env={"frame_skip": 25, "arm": {"mass": -1.0}})
+    assert "env.arm.mass = -1.0 must be a finite number" in refused()
+    shutil.rmtree(sweep / "4")
+    make_run(sweep / "4", "PPO", 0, env={"frame_skip": 25, "arm": {}})
+    assert "runs: env.arm = None" in refused()
     save_tensors(sweep / "4" / "league.safetensors", {"x": torch.zeros(1)})
     assert "league.safetensors: has no sizes of hidden layers (hidden)" in refused()

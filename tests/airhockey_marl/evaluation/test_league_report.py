@@ -14,6 +14,7 @@ import pytest
 from PIL import Image
 
 from airhockey_marl.commands import league_report
+from airhockey_marl.envs.hand_arm import HandArm
 from airhockey_marl.evaluation.figures import best_response_figure, payoff_figure
 from airhockey_marl.evaluation.league_metrics import (
     EvaluationConfig,
@@ -276,7 +277,9 @@ def ship(folder: Path, league: League, **card) -> Path:
 
 
 def test_the_command_reports_a_run(monkeypatch, capsys, league, tmp_path):
-    run, out = ship(tmp_path / "run", league, config={"env": {"frame_skip": 2}}), tmp_path / "out"
+    """Of a league behind a hand: all its players are behind one in the report, too."""
+    config = {"env": {"frame_skip": 2, "arm": {"mass": 2.0}}}
+    run, out = ship(tmp_path / "run", league, config=config), tmp_path / "out"
     matches().to_csv(run / "matches.csv", index=False)
     monkeypatch.setattr(sys, "argv", ["league_report", f"run={run}", f"hydra.run.dir={out}", *TINY])
     start_command(league_report.__name__)
@@ -285,6 +288,8 @@ def test_the_command_reports_a_run(monkeypatch, capsys, league, tmp_path):
     shown = capsys.readouterr().out
     assert "The last generation (2) beats generation 0: wins" in shown and f"report: {out}" in shown
     assert (out / "league_report.html").read_text().count(league.hashes[-1]) == 1
+    reported = json.loads((out / "league_report.json").read_text())["config"]
+    assert reported["arm"] == HandArm(mass=2.0)._asdict() and reported["frame_skip"] == 2
 
 
 def complaint(monkeypatch, capsys, tmp_path, *arguments: str) -> str:

@@ -4,15 +4,17 @@ import numpy as np
 import pytest
 import torch
 from hydra import compose, initialize_config_dir
+from omegaconf import OmegaConf
 from tensordict import TensorDict
 
 from airhockey_marl.algorithms.reward_shaping import RewardShaping
-from airhockey_marl.evaluation.matches import play_opponents
+from airhockey_marl.evaluation.matches import FRAME_SKIP, match_options, play_match, play_opponents
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.league.league import League
 from airhockey_marl.league.opponent_pool import OpponentPool
 from airhockey_marl.league.opponent_sampling import PFSP, ScriptedOnly
 from airhockey_marl.players.networks import GaussianPolicy
+from airhockey_marl.players.players import greedy
 from airhockey_marl.self_play.best_response import best_response
 from airhockey_marl.self_play.collectors import CollectorConfig, RolloutWorkers
 from airhockey_marl.self_play.trainer import SelfPlayTrainer, count_goals
@@ -77,6 +79,16 @@ def test_matches_count_every_round_and_are_reproducible():
     assert all(sum(result) == 10 for result in results.values())
     assert results == play_opponents(league.player(0), opponents, 10, seed=3, frame_skip=2)
     assert results["striker"].losses > results["striker"].wins
+
+
+def test_matches_are_played_behind_the_arm_of_a_training():
+    """An arm without strength leaves the paddles where they are."""
+    policy, idle = league_of(1).player(0), lambda observation: torch.full((len(observation), 2), torch.nan)
+    options = match_options(OmegaConf.create({"frame_skip": 3, "arm": {"max_force": 1e-6}}))
+    played = play_match(greedy(policy), greedy(policy), 40, 0, **options)
+    assert played == play_match(idle, idle, 40, 0, frame_skip=3) and sum(played) == 40
+    assert played != play_match(greedy(policy), greedy(policy), 40, 0, frame_skip=3)
+    assert match_options({}) == {"frame_skip": FRAME_SKIP, "arm": None}
 
 
 @pytest.mark.parametrize("algorithm", ["trpo", "ppo", "sac"])
