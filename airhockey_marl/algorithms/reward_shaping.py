@@ -1,4 +1,7 @@
-"""Potential-based reward shaping (Ng, Harada & Russell 1999): faster learning, the same optimal policy."""
+"""Potential-based reward shaping (Ng, Harada & Russell 1999): faster learning, the same optimal policy.
+
+Beside it, what an action-rate cost is counted on: that is no potential, and changes what is optimal.
+"""
 
 from dataclasses import dataclass
 
@@ -48,6 +51,17 @@ class RewardShaping:
     def reward(self, observation: Tensor, next_observation: Tensor, terminated: Tensor, gamma: float) -> Tensor:
         """What to add to the reward of a transition: gamma phi(s') - phi(s), with phi(s') = 0 if s' is terminal."""
         return gamma * self.potential(next_observation) * ~terminated - self.potential(observation)
+
+
+def action_change(action: Tensor, done: Tensor) -> Tensor:
+    """Squared change of each action (tables, steps, 2) from the decision before: (tables, steps, 1).
+
+    As in the rewards of Rudin et al. (2021); squared, so that the noise of exploration costs little beside a change of
+    mind. Actions are not clipped: beyond the edge noise would be free, and aiming there the cheapest. 0 for the first
+    decision of a round, by `done` (tables, steps, 1), and of a batch, which does not contain the one before.
+    """
+    change = action.diff(dim=1).square().sum(dim=-1, keepdim=True) * ~done[:, :-1]
+    return torch.cat([torch.zeros_like(change[:, :1]), change], dim=1)
 
 
 def shaping_strength(generation: int, generations: int) -> float:

@@ -29,6 +29,7 @@ def check(cfg: DictConfig) -> None:
     require_counts(cfg, "shaping.generations", "pictures_every", least=0)
     require_numbers(cfg, "gamma", "league.win_rate_decay", at_most=1.0)
     require_numbers(cfg, "env.round_seconds")
+    require_numbers(cfg, "action_cost", least=0.0)
     for total, part in (("batch", "env.tables"), ("steps_per_generation", "batch"), ("env.tables", "league.opponents")):
         dividend, divisor = OmegaConf.select(cfg, total), OmegaConf.select(cfg, part)
         if dividend % divisor:

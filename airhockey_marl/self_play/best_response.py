@@ -36,7 +36,7 @@ def best_response(
         For each generation: the steps so far, and the result of the new policy against the target.
     """
     local = {"seed": seed, "compute": "cpu", "collector": {"kind": SINGLE, "workers": 1}, "env": {"backend": "batched"}}
-    cfg = OmegaConf.merge(cfg, local)
+    cfg = OmegaConf.merge(cfg, local | {"action_cost": 0.0})  # only goals count here
     options = match_options(cfg.env)
     history = []
     with torch.random.fork_rng(devices=[]):

@@ -25,6 +25,7 @@ class SelfPlayTrainer:
         policy: trained in place by `learner`, on its own device.
         workers: play the tables, on CPUs.
         gamma: discount per decision.
+        action_cost: see `reward_shaping.action_change`; in goals.
     """
 
     policy: GaussianPolicy
@@ -32,6 +33,7 @@ class SelfPlayTrainer:
     workers: RolloutWorkers
     shaping: RewardShaping
     gamma: float
+    action_cost: float = 0.0
 
     @classmethod
     def from_config(cls, cfg: DictConfig) -> "SelfPlayTrainer":
@@ -41,7 +43,7 @@ class SelfPlayTrainer:
         env = {**cfg.env, "arm": arm_from_config(cfg.env.get("arm"))}
         workers = RolloutWorkers(CollectorConfig(**cfg.collector), env, cfg.seed, policy, cfg.batch)
         shaping = RewardShaping(cfg.shaping.position, cfg.shaping.velocity, cfg.shaping.shot, cfg.shaping.approach)
-        return cls(policy, learner, workers, shaping, cfg.gamma)
+        return cls(policy, learner, workers, shaping, cfg.gamma, cfg.action_cost)
 
     def train_generation(
         self, opponents: OpponentBatch, steps: int, shaping_strength: float
@@ -59,7 +61,7 @@ class SelfPlayTrainer:
             with torch.no_grad():
                 data = self.workers.rollout({name: tensor.cpu() for name, tensor in self.policy.state_dict().items()})
                 goals += count_goals(data, len(opponents.player_ids))
-                batch = learner_batch(data, self.shaping, shaping_strength, self.gamma)
+                batch = learner_batch(data, self.shaping, shaping_strength, self.gamma, self.action_cost)
             history.append(self.learner.update(batch.to(device)))
             require_sound_metrics(history[-1])
         self.workers.save_rng_states()

@@ -5,7 +5,7 @@ from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import Tensor, nn
 
-from airhockey_marl.algorithms.reward_shaping import RewardShaping
+from airhockey_marl.algorithms.reward_shaping import RewardShaping, action_change
 from airhockey_marl.league.league import TableSlice
 from airhockey_marl.players.networks import GaussianPolicy
 
@@ -49,9 +49,12 @@ class TwoPlayerPolicy(TensorDictSequential):
 
 
 def learner_batch(
-    data: TensorDictBase, shaping: RewardShaping, shaping_strength: float, gamma: float
+    data: TensorDictBase, shaping: RewardShaping, shaping_strength: float, gamma: float, action_cost: float = 0.0
 ) -> TensorDictBase:
-    """The learner's transitions, with shaped rewards: what `algorithms.base.Learner.update` takes, (tables, steps)."""
+    """The learner's transitions (tables, steps): what `algorithms.base.Learner.update` takes.
+
+    Their reward is that of the environment, plus the shaping, less `action_cost` times the `action_change`.
+    """
     batch = data.select((LEARNER, "observation"), (LEARNER, "action"))[LEARNER].squeeze(-1)
     next_step = data["next"].select("done", "terminated", "truncated")
     next_step["observation"] = data["next", LEARNER, "observation"].squeeze(-2)
@@ -60,5 +63,7 @@ def learner_batch(
         next_step["reward"] += shaping_strength * shaping.reward(
             batch["observation"], next_step["observation"], next_step["terminated"], gamma
         )
+    if action_cost > 0:
+        next_step["reward"] -= action_cost * action_change(batch["action"], next_step["done"])
     batch["next"] = next_step
     return batch

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from airhockey_marl.algorithms.reward_shaping import RewardShaping
+from airhockey_marl.algorithms.reward_shaping import RewardShaping, action_change
 
 SHAPING = RewardShaping(position=0.3, velocity=0.6, shot=0.4, approach=0.6)
 
@@ -35,3 +35,11 @@ def test_potential_increases_with_each_of_its_terms():
     assert RewardShaping(1.0, 0.0, 0.0, 0.0).potential(state) < RewardShaping(1.0, 0.0, 0.0, 0.0).potential(
         state.index_fill(0, torch.tensor(8), 0.5)
     )
+
+
+def test_a_change_of_action_is_squared_within_a_round_and_a_batch():
+    """Two tables; the second one's round ends after its second decision."""
+    action = torch.tensor([[[0.0, 0.0], [1.0, 0.0], [-1.0, 0.5]], [[0.2, 0.2], [0.2, -1.8], [0.9, 0.9]]])
+    done = torch.tensor([[False, False, False], [False, True, False]])[..., None]
+    expected = torch.tensor([[0.0, 1.0, 4.25], [0.0, 4.0, 0.0]])[..., None]
+    assert torch.allclose(action_change(action, done), expected)

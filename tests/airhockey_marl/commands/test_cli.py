@@ -249,6 +249,7 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
         ("train", "hidden=[]", "hidden"),
         ("train", "inputs=puck", "inputs = 'puck' must be 'table' or 'paddle'"),
         ("train", "resume=nowhere", "resume = nowhere is not the folder of a run"),
+        ("train", "action_cost=-0.1", "action_cost = -0.1 must be a finite number of at least 0"),
         ("train", "env.arm={mass: -1}", "env.arm.mass = -1 must be a finite number of at least"),
         ("train", "collector.workers=2", "collector.workers = 2 must be 1 where collector.kind = single"),
         ("train", "compute=tpu", "compute = tpu must be one of cpu"),

@@ -3,7 +3,7 @@
 import torch
 from torchrl.collectors import Collector
 
-from airhockey_marl.algorithms.reward_shaping import RewardShaping
+from airhockey_marl.algorithms.reward_shaping import RewardShaping, action_change
 from airhockey_marl.envs.torchrl_env import make_env
 from airhockey_marl.league.league import TableSlice
 from airhockey_marl.players.networks import GaussianPolicy
@@ -36,6 +36,12 @@ def test_learner_batch_has_the_learners_observations_and_rewards():
     shaped = learner_batch(data.clone(), SHAPING, 0.5, 0.9)
     added = SHAPING.reward(batch["observation"], batch["next", "observation"], batch["next", "terminated"], 0.9)
     assert torch.allclose(shaped["next", "reward"], batch["next", "reward"] + 0.5 * added)
+
+    costly, change = (
+        learner_batch(data.clone(), NO_SHAPING, 1.0, 0.9, 0.1),
+        action_change(batch["action"], data["next", "done"]),
+    )
+    assert torch.equal(costly["next", "reward"], batch["next", "reward"] - 0.1 * change) and change.sum() > 0
 
 
 def test_policy_is_swapped_while_the_collector_runs():
