@@ -23,7 +23,7 @@ _PAIRS = (
 )
 ARM_STATE = np.dtype(
     [(name + axis, np.float64) for name in _PAIRS for axis in ("_x", "_y")]
-    + [("plan_seconds", np.float64), ("plan_age", np.float64), ("effort", np.float64)]
+    + [("plan_seconds", np.float64), ("plan_age", np.float64)]
 )
 
 
@@ -34,7 +34,7 @@ NO_NOISE = (0.0, 0.0, 0.0, 0.0)  # see `move_arm`
 def reset_arm(arm, person):
     """Put the hand at rest at the center, with the plan to stay there."""
     arm.hand_x = arm.hand_y = arm.hand_v_x = arm.hand_v_y = 0.0
-    arm.muscle_x = arm.muscle_y = arm.effort = 0.0
+    arm.muscle_x = arm.muscle_y = 0.0
     arm.end_v_x = arm.end_v_y = 0.0
     arm.correction_x = arm.correction_y = arm.correction_v_x = arm.correction_v_y = 0.0
     arm.estimate_x = arm.estimate_y = arm.estimate_v_x = arm.estimate_v_y = 0.0
@@ -200,7 +200,6 @@ def move_arm(arm, person, noise, stiffness, push_x, push_y, force_x, force_y, dt
     arm.muscle_y += gain * (mass * accel_y - arm.muscle_y)
     own_x = arm.muscle_x + push_x + stiffness * (arm.ref_x - arm.hand_x) + damping * (exec_x - arm.hand_v_x)
     own_y = arm.muscle_y + push_y + stiffness * (arm.ref_y - arm.hand_y) + damping * (exec_y - arm.hand_v_y)
-    arm.effort = hypot(own_x, own_y)
     arm.hand_v_x += dt * (own_x + person.device_damping * (plan_x - arm.hand_v_x) + force_x) / mass
     arm.hand_v_y += dt * (own_y + person.device_damping * (plan_y - arm.hand_v_y) + force_y) / mass
     arm.hand_x += dt * arm.hand_v_x

@@ -60,7 +60,6 @@ class UserArrays(NamedTuple):
         forces: (n, ring, 2) N.
         prediction_errors: (n, ring, 2, 4) of the two forward models, m and m/s.
         partner_goals: (n, ring, 2) m, read from the forces.
-        hands: (n, ring, 4) m, with and without the force.
         velocities: (n, ring, 2) m/s of the hand when the force of the same row began to act.
         actions: (n, 2) the hand's position over its reach.
         streams: (n,) uint64, random number generators.
@@ -74,7 +73,6 @@ class UserArrays(NamedTuple):
     forces: np.ndarray
     prediction_errors: np.ndarray
     partner_goals: np.ndarray
-    hands: np.ndarray
     velocities: np.ndarray
     actions: np.ndarray
     streams: np.ndarray

@@ -56,7 +56,7 @@ from guidance.simulated_users.perception import (
     standard_normal,
     update_percept_noise,
 )
-from guidance.simulated_users.ratings import add_force_signals, add_hindsight
+from guidance.simulated_users.ratings import add_rating_signals
 from guidance.simulated_users.state import Scratch
 from guidance.simulated_users.strokes import clamp, hand_gain, to_hand, to_table
 
@@ -72,7 +72,6 @@ def reset_users(arrays, mask):
             _reset_state(arrays.states[index])
             for arm in range(arrays.arms.shape[1]):
                 reset_arm(arrays.arms[index, arm], arrays.people[index])
-            arrays.sums[index].expected_x = arrays.sums[index].expected_y = 0.0
             arrays.actions[index, 0] = arrays.actions[index, 1] = 0.0
 
 
@@ -257,13 +256,14 @@ def step_users(rows, arrays, observation, force, setting):
         arms = arrays.arms[index]
         arm, shadow, arm_model, shadow_model = arms[0], arms[1], arms[2], arms[3]
         observations, forces, errors = arrays.observations[index], arrays.forces[index], arrays.prediction_errors[index]
-        partner_goals, hands = arrays.partner_goals[index], arrays.hands[index]
-        velocities = arrays.velocities[index]
+        partner_goals, velocities = arrays.partner_goals[index], arrays.velocities[index]
         age = state.age
         row = age % ring
         observations[row] = observation[index]
         forces[row] = force[index]
         velocities[row, 0], velocities[row, 1] = arm.hand_v_x, arm.hand_v_y
+        last_force = forces[(age - 1) % ring] if age > 0 else forces[row]
+        add_rating_signals(sums, person, state, arm, shadow, forces[row], last_force, observations[row], setting.table)
 
         # proprioception
         felt_row = max(age - _to_ticks(person.proprioceptive_delay, tick), 0) % ring
@@ -310,8 +310,6 @@ def step_users(rows, arrays, observation, force, setting):
             move_arm(shadow_model, person, NO_NOISE, person.stiffness, 0.0, 0.0, 0.0, 0.0, dt)
 
         # trust in the partner whose goal the force tells
-        hands[row, 0], hands[row, 1] = arm.hand_x, arm.hand_y
-        hands[row, 2], hands[row, 3] = shadow.hand_x, shadow.hand_y
         partner_goals[row, 0] = arm.hand_x + force_x / person.partner_stiffness
         partner_goals[row, 1] = arm.hand_y + force_y / person.partner_stiffness
         goal_age = age - _to_ticks(person.partner_lead_time, tick)
@@ -320,12 +318,6 @@ def step_users(rows, arrays, observation, force, setting):
             goal = partner_goals[goal_age % ring]
             update_trust(person, state, goal[0], goal[1], arm.hand_x, arm.hand_y, tick)
 
-        # rating
-        last = forces[(age - 1) % ring] if age > 0 else forces[row]
-        add_force_signals(sums, person, state, arm, shadow, scratch.force, force[index], last, tick)
-        hindsight_age = age - _to_ticks(person.hindsight_delay, tick)
-        if hindsight_age >= 0:
-            add_hindsight(sums, state, hands[hindsight_age % ring])
         state.age = age + 1
         arrays.actions[index, 0] = clamp(arm.hand_x / HAND_REACH, -1.0, 1.0)
         arrays.actions[index, 1] = clamp(arm.hand_y / HAND_REACH, -1.0, 1.0)

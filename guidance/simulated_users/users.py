@@ -15,7 +15,7 @@ from guidance.simulated_users.arm import ARM_STATE
 from guidance.simulated_users.force_response import Variant, check_variant
 from guidance.simulated_users.intention import NO_INSTRUCTION, Intention
 from guidance.simulated_users.population import USER_PARAMETERS, Population
-from guidance.simulated_users.ratings import RATING_SIGNALS, SIGNALS, likert_points, rating_z_scores, signals
+from guidance.simulated_users.ratings import RATING_SIGNALS, SIGNALS, expected_points, likert_points, signals
 from guidance.simulated_users.state import USER_STATE, Setting, UserArrays
 from guidance.simulated_users.tick import reset_users, step_users
 
@@ -68,7 +68,7 @@ class SimulatedUsers:
         self._setting = Setting(self.table, int(self.variant), bool(adaptation), self.advisors)
         longest_memory = max(
             (people["tactile_delay"] + people["partner_lead_time"]).max(),
-            *(people[name].max() for name in ("visual_delay", "proprioceptive_delay", "hindsight_delay")),
+            *(people[name].max() for name in ("visual_delay", "proprioceptive_delay")),
         )
         ring = ceil(longest_memory / self.table.tick) + 2
         self._arrays = UserArrays(
@@ -80,7 +80,6 @@ class SimulatedUsers:
             forces=np.zeros((n, ring, 2)),
             prediction_errors=np.zeros((n, ring, 2, 4)),
             partner_goals=np.zeros((n, ring, 2)),
-            hands=np.zeros((n, ring, 4)),
             velocities=np.zeros((n, ring, 2)),
             actions=np.zeros((n, 2)),
             streams=streams,
@@ -186,14 +185,14 @@ class SimulatedUsers:
 
     @property
     def signals(self) -> np.ndarray:
-        """(n, 8) the rating signals since the game began, in the order and units of `ratings.SIGNALS`."""
+        """(n, 6) the rating signals since the game began, in the order and units of `ratings.SIGNALS`."""
         return signals(self._arrays.sums)
 
     def ratings(self, scales: dict[str, float]) -> dict[str, np.ndarray]:
         """PROXIES of the ratings of the game so far. They stay the same when asked for again.
 
         Args:
-            scales: per signal its value under its anchor force, see `rating_anchors.anchor_scales`.
+            scales: per signal its unit, see `rating_anchors.signal_units`.
 
         Returns:
             Helpfulness, naturalness, controllability and comfort, (n,) float64 each, whole numbers in 1..7.
@@ -203,5 +202,5 @@ class SimulatedUsers:
         for name, value in scales.items():
             if not (np.isfinite(value) and value > 0):
                 raise ValueError(f"scales.{name} = {value} must be a number above 0")
-        z = rating_z_scores(self.signals / np.array([scales[name] for name in SIGNALS]))
-        return likert_points(self.people, z, self.streams)
+        expected = expected_points(self.signals, scales)
+        return likert_points(self.people, expected, self.streams)

@@ -28,8 +28,7 @@ _POSITIVE = (
     "control_speed max_strike_speed swing_time direct_strike_horizon min_strike_time min_correction_time "
     "start_effort_limit continue_effort_limit min_move_time max_move_time noise_hold_time deceleration_time "
     "max_stiffness_ratio goal_radius saturating_conflict stiffening_gain_shape co_contraction_time sharing_range "
-    "partner_stiffness partner_lead_time trust_time movement_time reference_speed slacking_time hindsight_delay "
-    "trait_concentration"
+    "partner_stiffness partner_lead_time trust_time movement_time reference_speed slacking_time trait_concentration"
 )
 POSITIVE = frozenset(_POSITIVE.split())
 _PROPORTIONS = (

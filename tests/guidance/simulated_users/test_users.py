@@ -1,4 +1,4 @@
-"""Simulated people: delays, blindness, the arm's mechanics, determinism, the population, and the rating proxies."""
+"""Simulated people: delays, blindness, the arm's mechanics, determinism, and the population."""
 
 import inspect
 import re
@@ -25,15 +25,12 @@ from guidance.simulated_users.intention import Intention, sample_softmax
 from guidance.simulated_users.perception import LOOK_AHEAD, LOOK_AHEAD_STEP, predict_puck, standard_normal
 from guidance.simulated_users.population import TRAITS, LogNormal
 from guidance.simulated_users.population.parameters import POSITIVE, PROPORTIONS, SIGNED
-from guidance.simulated_users.ratings import RATINGS, SIGNALS, rating_z_scores
 from guidance.simulated_users.state import USER_STATE
 from guidance.simulated_users.strokes import to_hand, to_table
-from guidance.simulated_users.validation.rating_anchors import ANCHORS, anchor_scales, known_order, play_anchor
 from tests import ROOT
 
 TABLE = TableSpec()
 CONF = yaml.safe_load((ROOT / "conf/users/default.yaml").read_text())
-SCALES = CONF["scales"]
 
 
 def still(n: int, puck: tuple[float, ...] = (0.5, 0.1, 0.0, 0.0)) -> np.ndarray:
@@ -350,59 +347,6 @@ def test_every_parameter_has_a_comment_and_a_source():
     assert set(names) >= POSITIVE | PROPORTIONS | SIGNED
 
 
-@pytest.fixture(scope="module")
-def anchored() -> dict[str, SimulatedUsers]:
-    return {
-        name: play_anchor(sample_people(40, 21), _copies(), name, seconds=80.0, seed=21) for name in (*ANCHORS, "none")
-    }
-
-
-def _copies():
-    rivals, zero = SimulatedUsers(sample_people(40, 22), personal_streams(40, 22)), np.zeros((40, 2))
-    return lambda state: rivals.step(state, zero)
-
-
-@pytest.mark.xfail(strict=True, reason="order and withdrawn proxies were found with people who do not adapt")
-def test_the_known_order(anchored):
-    """All proxies but the withdrawn ones must fall from oracle over replayed and random to anti."""
-    z = {
-        name: rating_z_scores(users.signals / np.array([SCALES[s] for s in SIGNALS]))
-        for name, users in anchored.items()
-    }
-    found = known_order(z)
-    assert all(found[name] for name in RATINGS if name not in CONF["withdrawn"])
-    means = {name: dict(zip(RATINGS, value.mean(axis=0), strict=True)) for name, value in z.items()}
-    assert means["oracle"]["helpfulness"] > max(means[name]["helpfulness"] for name in ("replayed", "random", "anti"))
-    assert means["none"]["helpfulness"] == -0.5 and means["none"]["comfort"] == 0.5
-
-
-def test_known_order_checks_each_rating():
-    falling = {name: np.full((3, 4), -float(place)) for place, name in enumerate(ANCHORS)}
-    assert known_order(falling) == dict.fromkeys(RATINGS, True)
-    falling["random"][:, 1] = 9.0
-    assert known_order(falling) == {**dict.fromkeys(RATINGS, True), RATINGS[1]: False}
-
-
-def test_ratings_are_likert_points_and_repeatable(anchored):
-    users = anchored["random"]
-    ratings = users.ratings(SCALES)
-    assert tuple(ratings) == RATINGS
-    for name, points in ratings.items():
-        assert points.shape == (40,) and points.dtype == np.float64
-        assert np.all((points >= 1) & (points <= 7) & (points == np.round(points)))
-        assert np.array_equal(points, users.ratings(SCALES)[name])
-    better = np.mean(anchored["oracle"].ratings(SCALES)["helpfulness"])
-    assert better > np.mean(ratings["helpfulness"]) + 1
-
-
-def test_anchor_scales_are_plain_positive_numbers():
-    people = training_people(0)
-    rivals, zero = SimulatedUsers(people, personal_streams(9, 1)), np.zeros((9, 2))
-    scales = anchor_scales(people, lambda state: rivals.step(state, zero), seconds=30.0)
-    assert set(scales) == set(SIGNALS) == set(SCALES)
-    assert all(type(value) is float and value > 0 for value in scales.values())
-
-
 def test_intentions_are_named_and_used():
     users, _ = mirror_match(20, 50)
     assert set(users.intention) <= set(map(int, Intention))
@@ -433,7 +377,7 @@ def test_intentions_are_named_and_used():
         (lambda: _one().step(np.zeros((1, 12)), np.full((1, 2), np.nan)), "force = nan must be finite"),
         (lambda: _one().new_round(np.ones(1)), "mask float64"),
         (lambda: _one().ratings({"conflict": 1.0}), "scales = "),
-        (lambda: _one().ratings({**SCALES, "jerk": 0.0}), "scales.jerk = 0.0"),
+        (lambda: _one().ratings({**CONF["scales"], "jerk": 0.0}), "scales.jerk = 0.0"),
     ],
 )
 def test_bad_input_is_named(build, message):

@@ -22,6 +22,7 @@ from guidance.forces.conditions import CombinedGuidance, Condition, NoGuidance, 
 from guidance.forces.lookahead import Lookahead
 from guidance.sessions.simulated_participant import SimulatedParticipant
 from guidance.simulated_users import NO_ADVISORS, SimulatedUsers, sample_people
+from guidance.simulated_users.ratings import SIGNALS
 from guidance.statistics.codebook import tables_beside
 from guidance.study.batched_guidance import BatchedGuidance
 from guidance.study.games import no_force, play_games
@@ -47,9 +48,7 @@ COMBHG = Condition(
     CombinedGuidance(SpringGuidance("optimal", SPRING, UT), SpringGuidance("adapted", SPRING, UT), similarity=True),
 )
 KEY = ["user", "condition"]
-SCALES = dict.fromkeys(
-    ("conflict", "unsupported", "supportive_power", "deviation", "effort", "jerk", "surprise", "hindsight"), 1.0
-)
+SCALES = dict.fromkeys(SIGNALS, 1.0)
 
 
 @pytest.fixture(scope="module")
