@@ -1,4 +1,4 @@
-"""Figures of simulated people: speed of reaches, response to a push, paddle positions and shots."""
+"""Figures of simulated people: reaches, response to a push, paddle positions, shots, and ratings of anchor forces."""
 
 from __future__ import annotations
 
@@ -6,12 +6,15 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from torch import Tensor
 
 from airhockey_marl.envs.physics import TableSpec
 from airhockey_marl.experiment.plotting import BLUE, GRAY, GREEN, ORANGE, label_axes, new_figure, save_png
+from guidance.simulated_users.ratings import RATINGS, SIGNALS, expected_points
 from guidance.simulated_users.validation.motor_tasks import Reaches
 from guidance.simulated_users.validation.playstyles import STEEP, shot_velocities
+from guidance.simulated_users.validation.rating_anchors import ANCHORS, STANDARD_ERRORS
 
 SOFT = 0.8  # m/s of the puck after a touch; below, the touch was meant to stop it
 SHOTS = ("soft", "straight", "over the left wall", "over the right wall")
@@ -93,4 +96,25 @@ def draw_shots(play: Mapping[str, Tensor], table: TableSpec, path: Path) -> None
     axes.invert_yaxis()
     label_axes(axes, "How the puck leaves the paddle", "share of shots")
     axes.legend(frameon=False, fontsize=8, ncols=4, loc="upper center", bbox_to_anchor=(0.45, -0.2))
+    save_png(figure, path)
+
+
+def draw_anchors(table: pd.DataFrame, path: Path) -> None:
+    """Rating proxies over the strength of each anchor force under one response to forces, from no force on.
+
+    Args:
+        table: rows of one variant of `AnchorResults.table`.
+    """
+    neutral = expected_points(np.zeros(len(SIGNALS)), dict.fromkeys(SIGNALS, 1.0))
+    figure = new_figure(10, 2.8)
+    panels = figure.subplots(1, len(RATINGS), sharey=True)
+    for axes, name, start in zip(panels, RATINGS, neutral, strict=True):
+        for anchor, color in zip(ANCHORS, (GREEN, BLUE, GRAY, ORANGE), strict=True):
+            rows = table[table["anchor"] == anchor]
+            mean, error = ([first, *rows[column]] for first, column in ((start, name), (0.0, f"{name}_se")))
+            error = STANDARD_ERRORS * np.array(error)
+            axes.errorbar([0.0, *rows["grade"]], mean, error, color=color, label=anchor, capsize=2)
+        axes.set_ylim(1, 7)
+        label_axes(axes, f"{name} (PROXY)", "share of full strength", "points" if axes is panels[0] else "")
+    panels[0].legend(frameon=False, fontsize=8, loc="lower left")
     save_png(figure, path)

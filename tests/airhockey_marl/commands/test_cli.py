@@ -7,6 +7,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 import torch
+import yaml
 from hydra import compose, initialize_config_dir
 from PIL import Image
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
@@ -128,7 +129,11 @@ def test_validate_users_measures_and_draws(tmp_path):
     table = pd.read_csv(tmp_path / "human_measures.csv")
     assert len(table) == 26 and table["mean"].notna().all()
     assert all(name in done.stdout for name in table["measure"])
-    for name in ("speeds", "push", "places", "shots"):
+    anchors = pd.read_csv(tmp_path / "anchors.csv")
+    assert len(anchors) == 3 * 4 * 4 and anchors.notna().all(axis=None)
+    frozen = yaml.safe_load((tmp_path / "anchors.yaml").read_text())
+    assert set(frozen) == {"scales", "withdrawn"} and (tmp_path / "anchors.yaml").read_text() in done.stdout
+    for name in ("speeds", "push", "places", "shots", "anchors"):
         assert (tmp_path / f"{name}.png").stat().st_size > 10_000
 
 
@@ -237,6 +242,8 @@ def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:
         ("train", "league.scripted_players=[goalie]", "league.scripted_players = 'goalie' must be one of random,"),
         ("train", "league=nobody", "league = nobody must be one of curriculum, delta_uniform, latest, mixture"),
         ("validate_users", "play_seconds=1", "play_seconds = 1 must be a finite number of at least 10"),
+        ("validate_users", "anchors.groups=0", "anchors.groups = 0 must be a whole number of at least 1"),
+        ("validate_users", "guidance.spring.limit=0.0", "guidance.spring.limit = 0.0 must be a finite number above 0"),
         ("validate_users", "laboratory=1", "laboratory = 1 must be a whole number of at least 2"),
         ("validate_users", "users.variant=V9", "users.variant = 'V9' must be one of passive, comply_or_resist"),
         ("validate_users", "~users.population.intention.utility_weights.away_wait", "away_wait is missing"),
