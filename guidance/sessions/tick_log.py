@@ -4,7 +4,7 @@ Films and replays are made from it, and user adaptation learns from it.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -75,7 +75,7 @@ def tapped_guidance(
         adapted: the person's own parameters of the user model, batch size (1,), or None.
     """
     tap = PredictionTap(condition.guidance, frozenset({OPTIMAL, USER if adapted is None else ADAPTED}))
-    return BatchedGuidance([replace(condition, guidance=tap)], 1, models, adapted, lookahead), tap
+    return BatchedGuidance([tap], 1, models, adapted, lookahead), tap
 
 
 class TickLog:

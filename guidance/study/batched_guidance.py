@@ -1,4 +1,4 @@
-"""The forces of many conditions and many users, evaluated in one call per tick."""
+"""The forces of many guidances and many users, evaluated in one call per tick."""
 
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import replace
@@ -14,7 +14,6 @@ from guidance.forces.conditions import (
     OPTIMAL,
     USER,
     CombinedGuidance,
-    Condition,
     Guidance,
     GuidanceOutput,
     Prediction,
@@ -27,31 +26,31 @@ MODELS = (OPTIMAL, USER, ADAPTED)
 
 
 class BatchedGuidance:
-    """The guidance of one game per condition and user.
+    """The forces of one game per guidance and user.
 
-    Game c * users + u is user u's under condition c. The output for a game is bit-identical whichever other games are
+    Game c * users + u is user u's under guidance c. The output for a game is bit-identical whichever other games are
     evaluated with it. Small tensor operations cost as much as large ones, so every model is evaluated once per tick
     for all games that need it, and every kind of spring once for all hands; any other guidance is called by itself.
 
     Args:
-        conditions: (c,) the conditions.
+        guidances: (c,) the guidances, of conditions or others.
         users: number of users.
         models: see `Models`.
-        adapted: the users' own parameters, batch size (users,), or None if no condition has UA.
+        adapted: the users' own parameters, batch size (users,), or None if no guidance has UA.
         lookahead: T_lookahead of Eq. 4 and its reading.
     """
 
     def __init__(
         self,
-        conditions: Sequence[Condition],
+        guidances: Sequence[Guidance],
         users: int,
         models: Models,
         adapted: TensorDict | None,
         lookahead: Lookahead,
     ) -> None:
-        self.conditions, self.users, self.models = list(conditions), users, models
+        self.guidances, self.users, self.models = list(guidances), users, models
         self.lookahead = lookahead
-        self._all = np.arange(len(self.conditions) * users)
+        self._all = np.arange(len(self.guidances) * users)
         self._queries = self._masks(lambda guidance: guidance.models())
         if ADAPTED in self._queries and (adapted is None or adapted.batch_size != (users,)):
             raise ValueError(f"adapted: needs the parameters of each of the {users} users")
@@ -71,7 +70,7 @@ class BatchedGuidance:
 
     def _masks(self, keys_of: Callable[[Guidance], Iterable[Hashable]]) -> dict[Hashable, np.ndarray]:
         """The mask (games,) of the games whose guidance has a key, by key."""
-        keys = [set(keys_of(condition.guidance)) for condition in self.conditions]
+        keys = [set(keys_of(guidance)) for guidance in self.guidances]
         return {
             key: np.repeat([key in own for own in keys], self.users) for key in sorted(set().union(*keys), key=repr)
         }
@@ -85,12 +84,12 @@ class BatchedGuidance:
         self._rows = {name: mask[games].nonzero()[0] for name, mask in self._queries.items()}
         targets = {spring: mask[:, games].ravel().nonzero()[0] for spring, mask in self._springs.items()}
         self._targets_of = {spring: torch.from_numpy(index) for spring, index in targets.items() if len(index)}
-        edges = np.searchsorted(games, np.arange(len(self.conditions) + 1) * self.users)
+        edges = np.searchsorted(games, np.arange(len(self.guidances) + 1) * self.users)
         single, pairs, self._others = [], {}, []
-        for condition, first, last in zip(self.conditions, edges[:-1], edges[1:], strict=True):
+        for guidance, first, last in zip(self.guidances, edges[:-1], edges[1:], strict=True):
             if first == last:
                 continue
-            rows, guidance = torch.arange(first, last), condition.guidance
+            rows = torch.arange(first, last)
             targets = [MODELS.index(part.model) * len(games) + rows for part in springs_of(guidance)]
             if len(targets) == 1:
                 single.append(torch.stack([rows, *targets]))
@@ -103,7 +102,7 @@ class BatchedGuidance:
 
     @torch.no_grad()
     def __call__(self, state: np.ndarray, action: np.ndarray, games: np.ndarray | None = None) -> GuidanceOutput:
-        """Force and weights for states (n, 12) in m and m/s and actions (n, 2), n = conditions x users.
+        """Force and weights for states (n, 12) in m and m/s and actions (n, 2), n = guidances x users.
 
         Args:
             games: (k,) int64, ascending: the games to evaluate, all of them if None.

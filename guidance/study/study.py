@@ -74,7 +74,8 @@ def run_studies(
         adapted = setup.models.adapted_to(games.demonstrations)
         if shuffled_adaptation:
             adapted = adapted[_neighbors([len(cohort.people) for cohort in cohorts])]
-    guidance = BatchedGuidance(conditions, len(people), setup.models, adapted, setup.lookahead)
+    guidances = [condition.guidance for condition in conditions]
+    guidance = BatchedGuidance(guidances, len(people), setup.models, adapted, setup.lookahead)
 
     def forces(state: np.ndarray, action: np.ndarray, games: np.ndarray) -> GuidanceOutput:
         output = guidance(state, action, games)

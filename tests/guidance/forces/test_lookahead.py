@@ -200,7 +200,7 @@ def test_every_guidance_gets_the_targets_of_the_reading(models, reading):
     state[:, 0:2], state[:, 2:4] = torch.from_numpy(middle), torch.randn(users, 2, generator=generator)
     state[:, 4], state[:, 8:10], state[:, 10:] = 0.6, 0.2, torch.randn(users, 2, generator=generator)
     hand = 0.5 * torch.randn(users, 2, generator=generator)
-    guidance = BatchedGuidance(conditions, users, models, adapted, lookahead)
+    guidance = BatchedGuidance([c.guidance for c in conditions], users, models, adapted, lookahead)
     repeated = (np.tile(part.double().numpy(), (len(conditions), 1)) for part in (state, hand))
     force = guidance(*repeated).force.unflatten(0, (len(conditions), users)).float()
     with torch.no_grad():
@@ -210,16 +210,16 @@ def test_every_guidance_gets_the_targets_of_the_reading(models, reading):
     assert torch.allclose(force[0], SPRING.force(hand, mean), atol=1e-5)
     assert torch.allclose(force[3], force[0] / 2, atol=1e-6)
     for index, alone in enumerate(conditions):
-        single = BatchedGuidance([alone], users, models, adapted, lookahead)
+        single = BatchedGuidance([alone.guidance], users, models, adapted, lookahead)
         assert torch.equal(single(state.double().numpy(), hand.double().numpy()).force.float(), force[index])
 
 
 def test_the_readings_pull_differently(models):
     state = state_with(own=(-0.5, 0.0, 1.0, 0.5), puck=(-0.4, 0.02, -3.0, 0.0)).double().numpy()[None]
     forces = [
-        BatchedGuidance(
-            [condition("oahg", SpringGuidance("optimal", SPRING))], 1, models, None, Lookahead(0.1, reading)
-        )(state, np.zeros((1, 2))).force
+        BatchedGuidance([SpringGuidance("optimal", SPRING)], 1, models, None, Lookahead(0.1, reading))(
+            state, np.zeros((1, 2))
+        ).force
         for reading in READINGS
     ]
     assert all((forces[i] - forces[j]).norm() > 1e-4 for i, j in ((0, 1), (0, 2), (1, 2)))

@@ -275,7 +275,7 @@ def test_guidance_really_guides():
 
     def mean_action(condition):
         users = SimulatedUsers(people, spawn_rng_states(0, range(n), 0, 0))
-        guide = BatchedGuidance([condition], n, models, None, Lookahead(0.1))
+        guide = BatchedGuidance([condition.guidance], n, models, None, Lookahead(0.1))
         protocol = Protocol(0, 1, 0, 0, 20)
         games = play_games(users, opponent, guide, protocol, TableSpec(), spawn_rng_states(0, range(n), 0, 1), True)
         return torch.cat([action for _, action in games.demonstrations]).mean(0)
@@ -285,9 +285,8 @@ def test_guidance_really_guides():
 
 
 def test_batched_guidance_is_ordered_by_condition_then_user(models):
-    guide = BatchedGuidance(
-        [NHG, OAHG, COMBHG], 4, models, models.adapted_to([(torch.randn(9, 12), torch.randn(9, 2))] * 4), Lookahead(0.0)
-    )
+    adapted = models.adapted_to([(torch.randn(9, 12), torch.randn(9, 2))] * 4)
+    guide = BatchedGuidance([c.guidance for c in (NHG, OAHG, COMBHG)], 4, models, adapted, Lookahead(0.0))
     state, action = np.random.default_rng(0).normal(size=(2, 12, 12))
     action = action[:, :2]
     guided = guide(state, action)
@@ -302,7 +301,7 @@ def test_adapted_parameters_are_required_by_ua():
     torch.manual_seed(0)
     model = GaussianPolicy([4])
     with pytest.raises(ValueError, match="adapted"):
-        BatchedGuidance([UPHG_UA], 2, Models(model, model, model, 0.1, {}), None, Lookahead(0.1))
+        BatchedGuidance([UPHG_UA.guidance], 2, Models(model, model, model, 0.1, {}), None, Lookahead(0.1))
 
 
 def test_a_run_is_frozen_only_with_all_nine_if_people_adapt(monkeypatch):
