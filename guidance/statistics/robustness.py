@@ -5,6 +5,7 @@ from collections.abc import Collection
 import numpy as np
 import pandas as pd
 
+from guidance.statistics.design import METRICS
 from guidance.statistics.paper import EVIDENCE, compare_with_paper
 from guidance.statistics.tests import run_tests
 
@@ -71,6 +72,61 @@ def false_positives_over(outcomes: pd.DataFrame) -> pd.DataFrame:
     others = outcomes[outcomes["id"].eq("")]
     keys = ["group", "family", "metric", "x", "y", "paper"]
     return others.groupby(keys, sort=False)["outcome"].agg(lambda c: c.eq("false_positives").mean()).reset_index()
+
+
+def effects_of(trials: pd.DataFrame) -> pd.DataFrame:
+    """How each condition of one study differs from no guidance: a row per condition and metric.
+
+    Returns:
+        `condition`, `metric`, `mean` over people, `difference` from NHG, and its effect size `dz`; of conditions that
+        were compared with nothing, and of disagreement, which NHG has none of, the last two are NaN.
+    """
+    rows = []
+    for metric in METRICS:
+        scores = trials.pivot(index="user", columns="condition", values=metric)
+        gains = scores.sub(scores["nhg"], axis=0) if "nhg" in scores else scores * np.nan
+        spread = gains.std().replace(0.0, np.nan)
+        rows.append(
+            pd.DataFrame({"mean": scores.mean(), "difference": gains.mean(), "dz": gains.mean() / spread})
+            .rename_axis("condition")
+            .reset_index()
+            .assign(metric=metric)
+        )
+    return pd.concat(rows, ignore_index=True)
+
+
+def effects_over(effects: pd.DataFrame) -> pd.DataFrame:
+    """The effects of `effects_of` over the studies of each group.
+
+    Args:
+        effects: rows of `effects_of` of many studies, and their `group` and `study`.
+
+    Returns:
+        Per group, metric and condition: `studies`; of `mean`, `difference` and `dz` the mean, and the 5 and 95 %
+        quantiles as `<name>_low` and `<name>_high`; `positive`, the share of the studies whose difference is above 0.
+    """
+    grouped = effects.groupby(["group", "metric", "condition"], sort=False)
+    columns = {"studies": grouped.size()}
+    for name in ("mean", "difference", "dz"):
+        columns |= {name: grouped[name].mean(), f"{name}_low": grouped[name].quantile(0.05)}
+        columns[f"{name}_high"] = grouped[name].quantile(0.95)
+    columns["positive"] = grouped["difference"].agg(lambda gains: (gains > 0).mean() if gains.notna().any() else np.nan)
+    return pd.DataFrame(columns).reset_index()
+
+
+def shuffle_conditions(trials: pd.DataFrame, seed: int) -> pd.DataFrame:
+    """The trials of one study with each person's games in random order: a study without any effect of guidance.
+
+    Disagreement goes round among the conditions that have a force.
+    """
+    rng, trials = np.random.default_rng(seed), trials.copy()
+    guided = trials["condition"].ne("nhg")
+    free = [name for name in METRICS if name != "mean_disagreement"]
+    for rows in trials.groupby("user", sort=False).groups.values():
+        trials.loc[rows, free] = trials.loc[rng.permutation(rows), free].to_numpy()
+        rows = rows[guided[rows]]
+        trials.loc[rows, "mean_disagreement"] = trials.loc[rng.permutation(rows), "mean_disagreement"].to_numpy()
+    return trials
 
 
 def adaptation_effects(outcomes: pd.DataFrame) -> pd.DataFrame:

@@ -24,8 +24,9 @@ from guidance.simulated_users.population.parameters import PROPORTIONS
 from guidance.study.setup import load_setup
 from guidance.study.study import Cohort, run_studies
 
-# Groups of studies: replicates, two negative controls of UA, and sensitivity studies by the name of their variant.
-REPLICATES, SHUFFLED_ADAPTATION, ONE_PLAYSTYLE = "replicates", "swapped", "alike"
+# Groups of studies: replicates, two negative controls of UA, one of motor adaptation, and sensitivity studies by the
+# name of their variant.
+REPLICATES, SHUFFLED_ADAPTATION, ONE_PLAYSTYLE, NO_LEARNING = "replicates", "swapped", "alike", "unlearned"
 
 UTILITY = "utility_weights."  # followed by one of `UtilityRow`
 
@@ -50,7 +51,7 @@ class Batch:
 
     def population(self, usual: Population, factors: pd.DataFrame, study: int) -> Population:
         """The population that the people of a study are drawn from."""
-        if self.group in (REPLICATES, SHUFFLED_ADAPTATION):
+        if self.group in (REPLICATES, SHUFFLED_ADAPTATION, NO_LEARNING):
             return usual
         if self.group == ONE_PLAYSTYLE:
             return usual.with_parameters(trait_concentration=float("inf"), archetypes={"alike": [0.5] * len(TRAITS)})
@@ -74,6 +75,8 @@ class Studies:
             population = batch.population(self.population, self.factors, study)
             cohorts.append(Cohort(sample_people(cfg.participants, cfg.seed + study, population), cfg.seed + study))
         setup = replace(self.setup, variant=batch.variant)
+        if batch.group == NO_LEARNING:
+            setup = replace(setup, adaptation=False)
         shuffled = batch.group == SHUFFLED_ADAPTATION
         studies = run_studies(cohorts, setup, progress, shuffled_adaptation=shuffled)
         return pd.concat(
@@ -126,7 +129,8 @@ def batches_of(cfg: DictConfig) -> list[Batch]:
     """All studies in batches. All variants have the same people and serves, controls those of the first replicates."""
     groups = [(REPLICATES, cfg.users.variant, range(cfg.n))]
     groups += [(v, v, range(cfg.n, cfg.n + cfg.sensitivity.points)) for v in cfg.sensitivity.variants]
-    groups += [(control, cfg.users.variant, range(cfg.controls)) for control in (SHUFFLED_ADAPTATION, ONE_PLAYSTYLE)]
+    controls = (SHUFFLED_ADAPTATION, ONE_PLAYSTYLE, NO_LEARNING)
+    groups += [(control, cfg.users.variant, range(cfg.controls)) for control in controls]
     return [
         Batch(group, variant, list(studies[first : first + cfg.together]))
         for group, variant, studies in groups

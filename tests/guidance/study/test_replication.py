@@ -10,16 +10,20 @@ from guidance.commands import replicate
 from guidance.statistics.figures import robustness_map
 from guidance.statistics.robustness import (
     adaptation_effects,
+    effects_of,
+    effects_over,
     false_positives_over,
     findings_over,
     influential_assumptions,
     outcomes_of,
     scores_of,
+    shuffle_conditions,
 )
+from guidance.statistics.tests import run_tests
 from tests.guidance.statistics.test_report import synthetic_trials
 from tests.processes import smoke, start
 
-RESULTS = ("outcomes.csv", "studies.csv", "robustness.csv", "factors.csv")
+RESULTS = ("outcomes.csv", "studies.csv", "robustness.csv", "effects.csv", "factors.csv")
 
 
 @pytest.fixture(scope="module")
@@ -62,6 +66,38 @@ def test_what_ua_changes_is_the_effect_of_e_over_d(outcomes):
     assert (low, high) == pytest.approx(interval)
 
 
+def test_effects_are_paired_differences_from_no_guidance():
+    trials = synthetic_trials(3)
+    effects = effects_of(trials).set_index(["condition", "metric"])
+    scores = trials.pivot(index="user", columns="condition", values="win_rate")
+    gain = scores["oahg"] - scores["nhg"]
+    row = effects.loc["oahg", "win_rate"]
+    assert row["mean"] == pytest.approx(scores["oahg"].mean())
+    assert row["difference"] == pytest.approx(gain.mean()) and row["dz"] == pytest.approx(gain.mean() / gain.std())
+    assert np.isnan(effects.loc["oahg", "mean_disagreement"]["difference"])  # NHG has none
+    studies = [effects_of(synthetic_trials(seed)).assign(group="g", study=seed) for seed in range(6)]
+    over = effects_over(pd.concat(studies)).set_index(["condition", "metric"])
+    gains = [study.set_index(["condition", "metric"]).loc["oahg", "win_rate"]["difference"] for study in studies]
+    row = over.loc["oahg", "win_rate"]
+    assert row["studies"] == 6 and row["difference"] == pytest.approx(np.mean(gains))
+    assert row["positive"] == np.mean(np.array(gains) > 0)
+
+
+def test_shuffled_conditions_leave_false_positives_only():
+    """Every person keeps their games; over many studies comparisons are significant about as often as by chance."""
+    shares, trials = [], synthetic_trials(0)
+    for seed in range(8):
+        shuffled = shuffle_conditions(trials, seed)
+        for metric in ("win_rate", "mean_disagreement"):
+            for user, rows in shuffled.groupby("user"):
+                before = trials.loc[trials["user"] == user, metric]
+                assert sorted(rows[metric].dropna()) == sorted(before.dropna())
+        assert shuffled.loc[shuffled["condition"] == "nhg", "mean_disagreement"].isna().all()
+        tests = run_tests(shuffled)
+        shares.append(tests.loc[tests["test"] == "posthoc", "significant"].mean())
+    assert np.mean(shares) < 0.1 and run_tests(trials)["significant"].mean() > 0.2
+
+
 def test_the_assumption_that_matters_is_found(outcomes):
     rng = np.random.default_rng(0)
     studies = pd.concat([outcomes[outcomes["study"] == 0].assign(study=k) for k in range(40)], ignore_index=True)
@@ -86,7 +122,7 @@ def test_a_killed_run_ends_like_one_never_killed(tmp_path):
     """Batches that are there are kept, missing ones are played again."""
     smoke(*FEW, f"hydra.run.dir={tmp_path}/whole")
     batches = sorted(path.name for path in (tmp_path / "whole" / "batches").iterdir())
-    groups = {"goal_sharing": (3, 5), "alike": (0,), "replicates": (0, 2), "swapped": (0,)}
+    groups = {"goal_sharing": (3, 5), "alike": (0,), "replicates": (0, 2), "swapped": (0,), "unlearned": (0,)}
     assert batches == sorted(f"{group}-{first:04d}.csv" for group, firsts in groups.items() for first in firsts)
     expected = {name: (tmp_path / "whole" / name).read_bytes() for name in (*RESULTS, "robustness.svg")}
     for name in (*RESULTS, "batches/goal_sharing-0003.csv", "batches/replicates-0002.csv", "replicate.html"):
@@ -96,6 +132,7 @@ def test_a_killed_run_ends_like_one_never_killed(tmp_path):
     assert expected == {name: (tmp_path / "whole" / name).read_bytes() for name in expected}
     page = (tmp_path / "whole" / "replicate.html").read_text(encoding="utf-8")
     assert "not replicates of the frozen study" in page and "other assumptions, goal_sharing" in page
+    assert "conditions shuffled within people" in page and "What each guidance changes" in page
 
 
 @pytest.mark.slow
