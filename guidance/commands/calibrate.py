@@ -1,18 +1,32 @@
-"""Calibrate opponent, stiffness and thresholds on unguided play of the nine training users.
+"""Calibrate before a study, on people who are not in it: opponent, guidance, and thresholds of UT.
 
-    airhockey calibrate
+    airhockey calibrate                               the opponent, the pilot, the thresholds
+    airhockey calibrate opponent=55                   without the search for the opponent
+    airhockey calibrate guidance=stability 'pilot.people=[]'    the former rule: the guidance stays as configured
+    airhockey calibrate resume=outputs/calibrate/...  continue a stopped run
 
-The opponent: the newest generation against which the nine win 35 to 55 % of their rounds, which last 12 to 25 s.
-T_low and T_high of UT (Eq. 5): so that the mean W_unc in that play is the paper's (section 6.1).
-K of Eq. 4, for T_lookahead: the largest that leaves the hands of 95 % of the nine damped. The state holds one's own
+The opponent: the newest generation against which the nine training users win 35 to 55 % of their rounds, which last 12
+to 25 s.
+The pilot: T_lookahead and its reading, K, F_max, the user prediction model and the optimal action model with which
+pilot people win the largest share of rounds under OAHG and UPHG (UA), on average; by successive halving, see
+guidance/study/pilot.py. Of the predictors only the one that errs least at the horizon at which it is used is tried, and
+only springs under which the nine can hold the hand still.
+T_low and T_high of UT (Eq. 5): so that the mean W_unc in unguided play of the nine is the paper's (section 6.1).
+Beside them the former rule for K: the largest that leaves 95 % of the nine hands damped. The state holds one's own
 paddle, so UPHG's target moves ahead of the hand by a lead L that grows with T_lookahead, and its spring pushes along
 the motion by K L v: negative damping. Stable is K L <= 0.8 (B + b), B the damping of the relaxed arm, b the device's.
 
-Writes calibration.yaml, the values and what they rest on, into its run folder. A value takes effect when it is copied
-into conf/: calibration never changes a study by itself.
+Writes into its run folder: calibration.yaml, the values and what they rest on; opponents.csv, predictors.csv,
+holding.csv, games.csv (every pilot game), candidates.csv, pilot.png. A value takes effect when it is copied into conf/:
+calibration never changes a study by itself.
 """
 
+from __future__ import annotations
+
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 from omegaconf import DictConfig, OmegaConf
 
@@ -21,88 +35,117 @@ from airhockey_marl.experiment.config import InputError
 from airhockey_marl.experiment.files import write_text
 from airhockey_marl.experiment.progress import ProgressBar
 from airhockey_marl.experiment.registry import construct
-from airhockey_marl.experiment.run_folder import output_folder
+from airhockey_marl.experiment.run_folder import lock_run_folder, note_headline
 
+if TYPE_CHECKING:
+    from guidance.study.calibration.pilot import Pilot
+    from guidance.study.protocol import Protocol
+    from guidance.study.setup import PlaySetup
+    from guidance.user_model.data import Demonstrations
+
+STATE_FILE = "opponents.csv"  # the first that a run writes
 OPPONENT_TRIAL, THRESHOLD_TRIAL = 1000, 2000  # in the seeds, where a study has the number of its condition
 
 
 def check(cfg: DictConfig) -> None:
-    require_counts(cfg, "every")
-    require_counts(cfg, "games", least=2)  # UA from one, uncertainty in the others
+    require_counts(cfg, "every", "pilot.together", "pilot.unseen")
+    require_counts(cfg, "games", "pilot.demonstrations.games", least=2)  # UA from one, uncertainty in the others
+    require_counts(cfg, "pilot.demonstrations.ticks", least=100)
     require_numbers(cfg, "w_unc.optimal", "w_unc.user", "low_over_high", at_most=0.999)
-    require_numbers(cfg, "stability.rule.share", "stability.rule.of_people", at_most=1.0)
-    require_numbers(cfg, "stability.rule.step")
-    if not all(isinstance(seconds, float) and 0 <= seconds <= 1 for seconds in cfg.stability.lookaheads):
-        raise InputError(f"stability.lookaheads = {cfg.stability.lookaheads} must be numbers from 0 to 1")
+    require_numbers(cfg, "stability.rule.share", "stability.rule.of_people", "pilot.holding.of_people", at_most=1.0)
+    require_numbers(cfg, "stability.rule.step", "pilot.holding.wander", "pilot.holding.seconds")
+    pilot, search = cfg.pilot, cfg.pilot.search
+    for name, values in (("people", pilot.people), ("left", pilot.left)):
+        if not all(isinstance(value, int) and value >= 1 for value in values):
+            raise InputError(f"pilot.{name} = {list(values)} must be whole numbers of at least 1")
+    if pilot.people and len(pilot.left) != len(pilot.people) - 1:
+        raise InputError(f"pilot.left = {list(pilot.left)} must be a number for each of pilot.people but the last")
+    for name, values in {"stability.lookaheads": cfg.stability.lookaheads}.items() | {
+        f"pilot.search.{name}": search[name] for name in ("lookahead", "stiffness", "limit")
+    }.items():
+        most = 1.0 if "lookahead" in name else 1e4
+        if not all(isinstance(value, float) and 0 <= value <= most for value in values):
+            raise InputError(f"{name} = {list(values)} must be numbers from 0.0 to {most}")
+    for name, values in search.items():
+        if not len(values):
+            raise InputError(f"pilot.search.{name} = {values} must hold at least one value")
 
 
 def main(cfg: DictConfig) -> None:
-    import numpy as np
-
-    from airhockey_marl.envs.physics import TableSpec
     from airhockey_marl.league.league import League
     from airhockey_marl.players.inference import greedy_player
-    from guidance.simulated_users import SimulatedUsers, load_advisors, load_population, training_people
-    from guidance.study import calibration
-    from guidance.study.games import Games, no_force, play_games
-    from guidance.study.protocol import Protocol, user_and_table_states
-    from guidance.study.setup import load_lookahead, load_models
+    from guidance.forces.lookahead import Lookahead
+    from guidance.simulated_users import load_population, training_people
+    from guidance.statistics.pilot_figure import draw_pilot
+    from guidance.study.calibration.search import Tables, choose_guidance
+    from guidance.study.calibration.unguided import UnguidedPlay, former_rule, select_opponent, thresholds
+    from guidance.study.protocol import Protocol
+    from guidance.study.setup import load_lookahead, load_models, load_play_setup
 
     with report_input_errors():
-        people = training_people(cfg.seed, load_population(cfg.users))
-        advisors = load_advisors(cfg.users.advisors)
-        protocol = replace(construct(Protocol, cfg.study, "study"), familiarization=0)
-        models, lookahead = load_models(cfg), load_lookahead(cfg)
-        league = League.load(cfg.models.opponents)
-        if cfg.opponent is not None:
-            league.generation(cfg.opponent)
+        nine = training_people(cfg.seed, load_population(cfg.users))
+        protocol = construct(Protocol, cfg.study, "study")
+        setup = load_play_setup(OmegaConf.merge(cfg, {"opponent": cfg.opponent or 0}))
+        league, lookahead, models = League.load(cfg.models.opponents), load_lookahead(cfg), load_models(cfg)
+        generations = [cfg.opponent] if cfg.opponent is not None else range(0, len(league), cfg.every)
+        opponents = {generation: greedy_player(league.player(generation)) for generation in generations}
+        pilot = load_pilot(cfg, setup, protocol) if cfg.pilot.people else None
+    unguided = UnguidedPlay(nine, setup, replace(protocol, familiarization=0), cfg.games, cfg.seed)
     progress = ProgressBar()
-
-    def play(generation: int, trial: int, demonstrations: bool = False) -> Games:
-        """Each of the nine plays `games` games: rows are person by person."""
-        states = [user_and_table_states(cfg.seed, range(len(people)), trial + game) for game in range(cfg.games)]
-        minds, serves = (np.stack(part, axis=1).ravel() for part in zip(*states, strict=True))
-        users = SimulatedUsers(np.repeat(people, cfg.games), minds, TableSpec(), cfg.users.variant, advisors)
-        opponent = greedy_player(league.player(generation))
-        return play_games(users, opponent, no_force, protocol, TableSpec(), serves, demonstrations)
-
-    trials = {}
-    candidates = [cfg.opponent] if cfg.opponent is not None else range(0, len(league), cfg.every)
-    for i, generation in enumerate(candidates):
-        games = play(generation, OPPONENT_TRIAL)
-        trials[generation] = {
-            "win_rate": round(float(np.nanmean(games.results["win_rate"])), 3),
-            "round_seconds": round(float(games.seconds.sum() / games.rounds.sum()), 1),
-        }
-        progress("opponents", (i + 1) / len(candidates))
-    opponent = cfg.opponent
-    if opponent is None:
-        opponent = calibration.select_opponent(trials, cfg.win_rate, cfg.round_seconds)
-
-    progress("thresholds", 0.0)
-    states = play(opponent, THRESHOLD_TRIAL, demonstrations=True).demonstrations
-    thresholds = {
-        name: calibration.threshold(std, cfg.w_unc[name], cfg.low_over_high)
-        for name, std in calibration.predicted_std(models, states, cfg.games, lookahead).items()
-    }
-    progress("thresholds", 1.0)
-    progress.close()
-    damping = people["stiffness"] * people["damping_time"] + people["device_damping"]
-    player, stable = greedy_player(league.player(opponent)), {}
-    for seconds in sorted({*cfg.stability.lookaheads, lookahead.seconds}):
-        ahead = replace(lookahead, seconds=seconds)
-        lead = calibration.target_lead(models, states, cfg.games, ahead)
-        stable[seconds] = {
-            "lead": round(float(lead.mean()), 4),
-            "stiffness": calibration.max_stable_stiffness(lead, damping, **cfg.stability.rule),
-            "optimal_wins": round(calibration.lookahead_win_rate(models, player, ahead, cfg.seed), 3),
-        }
-    values = {
-        "opponent": opponent,
-        "stiffness": stable[lookahead.seconds]["stiffness"],
-        "thresholds": thresholds,
-        "evidence": {"opponents": trials, "stable": stable, "models": models.hashes},
-    }
-    text = OmegaConf.to_yaml(OmegaConf.create(values))
-    write_text(output_folder(cfg) / "calibration.yaml", text)
+    with lock_run_folder(cfg) as folder:
+        tables = Tables(folder)
+        against = partial(unguided.against, opponents, OPPONENT_TRIAL, partial(progress, "opponents"))
+        trials = tables.get("opponents", against)
+        generation = cfg.opponent
+        if generation is None:
+            generation = select_opponent(trials, cfg.win_rate, cfg.round_seconds)
+        opponent, result = opponents[generation], {"opponent": int(generation)}
+        if pilot is not None:
+            pilot = replace(pilot, setup=replace(setup, opponent=opponent))
+            unseen = partial(unseen_games, cfg, pilot.setup)
+            options = OmegaConf.to_container(cfg.pilot, resolve=True)
+            best = choose_guidance(pilot, nine, unseen, options, tables, progress)
+            draw_pilot(tables.read("candidates"), folder / "pilot.png")
+            result["pilot"] = best._asdict()
+            lookahead, models = Lookahead(best.lookahead, best.reading), pilot.models(best.league, best.predictor)
+        progress("thresholds", 0.0)
+        states = unguided.play(opponent, THRESHOLD_TRIAL, demonstrations=True).demonstrations
+        result["thresholds"] = thresholds(models, states, cfg.games, lookahead, cfg.w_unc, cfg.low_over_high)
+        progress("thresholds", 1.0)
+        progress.close()
+        ahead = [replace(lookahead, seconds=t) for t in sorted({*cfg.stability.lookaheads, lookahead.seconds})]
+        rule = former_rule(models, states, cfg.games, nine, ahead, opponent, cfg.stability.rule, cfg.seed)
+        result["evidence"] = {"opponents": trials.round(3).to_dict("records"), "stable": rule, "models": models.hashes}
+        text = OmegaConf.to_yaml(OmegaConf.create(result))
+        write_text(folder / "calibration.yaml", text)
+        note_headline(folder, "calibration.yaml" if pilot is None else ", ".join(map(str, best)))
     print(text)
+
+
+def load_pilot(cfg: DictConfig, setup: PlaySetup, protocol: Protocol) -> Pilot:
+    """The pilot of a configuration."""
+    from guidance.simulated_users import load_population, pilot_people
+    from guidance.study.calibration.pilot import Pilot
+    from guidance.study.models import SHIPPED, Models
+
+    people = pilot_people(sum(cfg.pilot.people), cfg.pilot.seed, load_population(cfg.users))
+
+    def load(league: str, folder: Path) -> Models:
+        return Models.load(league, cfg.models.generation, folder / "user.safetensors", folder / "meta.safetensors")
+
+    folders = [SHIPPED / name if (SHIPPED / name).is_dir() else Path(name) for name in cfg.pilot.search.predictor]
+    predictors = {folder.name: load(cfg.models.league, folder) for folder in folders}
+    leagues = {name: load(file, folders[0]) for name, file in cfg.pilot.search.league.items()}
+    return Pilot(people, setup, leagues, predictors, cfg.guidance.spring.reach, protocol, cfg.pilot.seed)
+
+
+def unseen_games(cfg: DictConfig, setup: PlaySetup) -> Demonstrations:
+    """Unguided games of people like the training users, on whom no model was trained."""
+    import numpy as np
+
+    from guidance.simulated_users import load_population, training_people
+    from guidance.study.demonstrations import collect_demonstrations
+
+    population, seeds = load_population(cfg.users), range(cfg.seed + 1, cfg.seed + 1 + cfg.pilot.unseen)
+    people = np.concatenate([training_people(seed, population) for seed in seeds])
+    return collect_demonstrations(people, setup, **cfg.pilot.demonstrations, seed=cfg.pilot.seed)

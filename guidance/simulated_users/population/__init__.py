@@ -29,10 +29,11 @@ MAX_STIFFENING_GAIN = 3.0
 
 
 class PeopleStream(IntEnum):
-    """Seed streams of people: those of a study are never those of the training data."""
+    """Seed streams of people: those of a study are never those of the training data or of the pilot."""
 
     STUDY = 1
     TRAINING = 2
+    PILOT = 3
 
 
 def sample_people(n: int, seed: int, population: Population | None = None, archetype: str | None = None) -> np.ndarray:
@@ -42,6 +43,11 @@ def sample_people(n: int, seed: int, population: Population | None = None, arche
         (n,) structured array of dtype `USER_PARAMETERS`. The first k are the same people for every n.
     """
     return _sample([archetype] * n, seed, PeopleStream.STUDY, population)
+
+
+def pilot_people(n: int, seed: int, population: Population | None = None) -> np.ndarray:
+    """Draw n people on whom a guidance is set before a study; none of them is drawn for one, see `sample_people`."""
+    return _sample([None] * n, seed, PeopleStream.PILOT, population)
 
 
 def training_people(seed: int, population: Population | None = None) -> np.ndarray:

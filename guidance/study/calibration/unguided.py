@@ -1,6 +1,10 @@
 """Calibration from unguided play of the training users: opponent, stiffness and thresholds of UT."""
 
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
 import numpy as np
+import pandas as pd
 import torch
 from scipy.optimize import brentq
 from torch import Tensor
@@ -12,30 +16,66 @@ from airhockey_marl.players.players import Player
 from guidance.forces.conditions import ADAPTED, OPTIMAL
 from guidance.forces.equations import uncertainty_weight
 from guidance.forces.lookahead import Lookahead
+from guidance.study.games import Games, no_force, play_games
 from guidance.study.models import Models
+from guidance.study.protocol import Protocol, user_and_table_states
+from guidance.study.setup import PlaySetup
 from guidance.user_model.maml import forward_stacked
 
 NEW_ROUND = 0.1  # m; a paddle that moves further in a tick was put back for a new round
 
 
-def select_opponent(trials: dict[int, dict[str, float]], win_rate: list[float], round_seconds: list[float]) -> int:
+@dataclass(frozen=True)
+class UnguidedPlay:
+    """The training users, who play without guidance.
+
+    Attributes:
+        people: (users,) the training users.
+        setup: their table and response to a force; the opponent is given to each call.
+        protocol: the course of a game.
+        games: that each of them plays.
+        seed: every random number follows from it.
+    """
+
+    people: np.ndarray
+    setup: PlaySetup
+    protocol: Protocol
+    games: int
+    seed: int
+
+    def play(self, opponent: Player, trial: int, demonstrations: bool = False) -> Games:
+        """`games` games of each, person by person; `trial` stands in the seeds where a study has its condition."""
+        states = [user_and_table_states(self.seed, range(len(self.people)), trial + game) for game in range(self.games)]
+        users, tables = (np.stack(part, axis=1).ravel() for part in zip(*states, strict=True))
+        participants = self.setup.simulated_users(np.repeat(self.people, self.games), users)
+        return play_games(participants, opponent, no_force, self.protocol, self.setup.table, tables, demonstrations)
+
+    def against(self, opponents: dict[int, Player], trial: int, progress: Callable[[float], None]) -> pd.DataFrame:
+        """Per `generation` of `opponents` the users' `win_rate` and the mean `round_seconds`."""
+        rows = []
+        for generation, opponent in opponents.items():
+            games = self.play(opponent, trial)
+            win_rate, seconds = np.nanmean(games.results["win_rate"]), games.seconds.sum() / games.rounds.sum()
+            rows.append({"generation": generation, "win_rate": win_rate, "round_seconds": seconds})
+            progress(len(rows) / len(opponents))
+        return pd.DataFrame(rows)
+
+
+def select_opponent(trials: pd.DataFrame, win_rate: Iterable[float], round_seconds: Iterable[float]) -> int:
     """The newest generation within both ranges.
 
     Args:
-        trials: per generation the `win_rate` of the users and the mean `round_seconds`.
+        trials: see `UnguidedPlay.against`.
 
     Raises:
         InputError: no generation is within both.
     """
-    generations = [
-        generation
-        for generation, trial in trials.items()
-        if win_rate[0] <= trial["win_rate"] <= win_rate[1]
-        and round_seconds[0] <= trial["round_seconds"] <= round_seconds[1]
-    ]
-    if not generations:
-        raise InputError(f"no generation has win_rate in {win_rate} and round_seconds in {round_seconds}: {trials}")
-    return max(generations)
+    win_rate, round_seconds = list(win_rate), list(round_seconds)
+    fits = trials["win_rate"].between(*win_rate) & trials["round_seconds"].between(*round_seconds)
+    if not fits.any():
+        rows = trials.to_dict("records")
+        raise InputError(f"no generation has win_rate in {win_rate} and round_seconds in {round_seconds}: {rows}")
+    return int(trials.loc[fits, "generation"].max())
 
 
 @torch.no_grad()
@@ -105,6 +145,53 @@ def predicted_std(
             anticipated = models.lookahead_state(ADAPTED, observation, lookahead)
             user.append(forward_stacked(models.meta, adapted[i // games : i // games + 1], anticipated[None])[1][0])
     return {"optimal": torch.cat(optimal), "user": torch.cat(user)}
+
+
+def former_rule(
+    models: Models,
+    demonstrations: list[tuple[Tensor, Tensor]],
+    games: int,
+    people: np.ndarray,
+    lookaheads: Iterable[Lookahead],
+    opponent: Player,
+    rule: Mapping[str, float],
+    seed: int,
+) -> list[dict[str, float]]:
+    """The former rule: for each look-ahead the largest K that leaves the hands of `people` (users,) damped.
+
+    Args:
+        demonstrations: user by user, `games` games each; the first of each is for UA.
+        rule: `share`, `of_people` and `step` of `max_stable_stiffness`.
+
+    Returns:
+        Rows with `lookahead` in s, the mean `lead` of UPHG's target in s, `stiffness` in N/m, and `optimal_wins`, see
+        `lookahead_win_rate`.
+    """
+    damping, rows = people["stiffness"] * people["damping_time"] + people["device_damping"], []
+    for lookahead in lookaheads:
+        lead = target_lead(models, demonstrations, games, lookahead)
+        rows.append(
+            {
+                "lookahead": lookahead.seconds,
+                "lead": round(float(lead.mean()), 4),
+                "stiffness": max_stable_stiffness(lead, damping, **rule),
+                "optimal_wins": round(lookahead_win_rate(models, opponent, lookahead, seed), 3),
+            }
+        )
+    return rows
+
+
+def thresholds(
+    models: Models,
+    demonstrations: list[tuple[Tensor, Tensor]],
+    games: int,
+    lookahead: Lookahead,
+    mean_weights: Mapping[str, float],
+    low_over_high: float,
+) -> dict[str, dict[str, float]]:
+    """The thresholds of UT for the `optimal` and the `user` model, see `threshold` and `predicted_std`."""
+    stds = predicted_std(models, demonstrations, games, lookahead)
+    return {name: threshold(std, mean_weights[name], low_over_high) for name, std in stds.items()}
 
 
 def threshold(std: Tensor, mean_weight: float, low_over_high: float) -> dict[str, float]:
