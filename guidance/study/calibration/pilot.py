@@ -12,6 +12,7 @@ from airhockey_marl.envs.physics import LEFT, PUCK
 from airhockey_marl.envs.world import World
 from guidance.forces.conditions import ADAPTED, OPTIMAL, GuidanceOutput, Spring, SpringGuidance
 from guidance.forces.lookahead import Lookahead
+from guidance.simulated_users.intention import Intention
 from guidance.study.batched_guidance import BatchedGuidance
 from guidance.study.calibration.candidates import Cell
 from guidance.study.games import Forces, no_force, play_games
@@ -106,12 +107,14 @@ class Pilot:
     def holding(self, cells: Sequence[Cell], adapted: Mapping[str, TensorDict], seconds: float) -> pd.DataFrame:
         """How still each of the people holds the hand in each cell: rows with the cell's fields, `person`, `wander`.
 
-        They wait while the puck rests in the opponent's half. `wander` is the root mean square distance of the hand
-        from its mean position in the second half of `seconds`, m: small unless spring and arm sustain an oscillation.
+        They are told to wait while the puck rests in the opponent's half. `wander` is the root mean square distance of
+        the hand from its mean position in the second half of `seconds`, m: small unless spring and arm sustain an
+        oscillation.
         """
         n, order, table = len(self.people), sorted(cells), self.setup.table
         users, _ = user_and_table_states(self.seed, range(n), PILOT_TRIAL)
         participants = self.setup.simulated_users(np.tile(self.people, len(order)), np.tile(users, len(order)))
+        participants.instruct(Intention.WAIT)
         tables, forces, games = World(n * len(order), table), self.forces(order, n, adapted), np.arange(n * len(order))
         state, actions = np.empty((len(games), 12)), np.full((len(games), 2, 2), np.nan)
         tables.new_rounds()

@@ -658,7 +658,7 @@ def test_planned_comparisons_show_every_row(declared_trials, tmp_path, no_figure
     assert (pair["statistic"], pair["p"]) == pytest.approx((expected.statistic, expected.pvalue))
     assert pair["p_corrected"] == pytest.approx(min(1, 2 * expected.pvalue))
     page = page_of(tmp_path)
-    section = page[page.index("<h3>Planned comparisons</h3>") : page.index("<h2>How strongly")]
+    section = page[page.index("<h3>Planned comparisons</h3>") : page.index("<h2>The order of the conditions")]
     assert section.count("<tr") == 1 + 2 * 8 and "(b) OAHG (vanilla) − (q) My own" in section
     alone = run_tests(declared_trials[declared_trials["condition"].isin(CONDITIONS)])
     rest = tests[~tests["family"].isin(["beyond", "mine"])].reset_index(drop=True)
