@@ -41,7 +41,7 @@ MEASURES = {
         for measure, human, source in (
             ("compensated after 30 s", (0.50, 0.85), "Smith et al. 2006, Albert & Shadmehr 2018: .54 to .83"),
             ("compensated after 2 min", (0.70, 0.87), "the same: in the end .75 to .87"),
-            ("after-effect", (0.0, 1.0), "Shadmehr & Mussa-Ivaldi 1994: opposite, not larger"),
+            ("after-effect", (0.0, 1.25), "Shadmehr & Mussa-Ivaldi 1994: opposite, about as large"),
         )
     },
     "curl field, spontaneous recovery": ("share", (0.0, 0.5), "Smith et al. 2006: some of the first field"),
