@@ -44,7 +44,7 @@ def main(cfg: DictConfig) -> None:
             check_variant(variant)
         studies = Studies(cfg)
     facts = manifest(cfg, file_hashes(cfg, studies.setup.models), command_line(), 0.0)
-    facts["frozen"] = facts["study_hash"] == frozen_study()["study_hash"]  # with other seeds
+    facts["frozen"] = facts["study_hash"] in frozen_study()["studies"].values()  # with other seeds
     if cfg.resume and facts["study_hash"] != load_json(Path(cfg.resume) / STATE_FILE).get("study_hash"):
         raise InputError(f"resume = {cfg.resume}: the models are not those with which its studies were played")
     with lock_run_folder(cfg) as folder:

@@ -28,7 +28,7 @@ from guidance.study.metrics import EXTRA_METRICS
 from guidance.study.models import Models, check_predictor
 from guidance.study.protocol import Protocol
 
-FROZEN = Path(__file__).parent / "frozen.json"  # study_hash and seed of the study
+FROZEN = Path(__file__).parent / "frozen.json"
 VERSIONS = ("torch", "tensordict", "torchrl", "numba", "numpy", "scipy", "pandas", "pingouin")
 STUDY_KEYS = ("users", "guidance", "study", "participants", "opponent")  # these and the models define a study
 
@@ -150,12 +150,16 @@ def study_hash(cfg: DictConfig, hashes: dict[str, str]) -> str:
 
 
 def frozen_study() -> dict[str, Any]:
-    """`study_hash` and `seed` of the study that was fixed before any condition was compared."""
+    """The studies that were fixed before any condition was compared, by their guidance, and their `seed`.
+
+    Each is given by its `study_hash`; the guidance is the pilot's (conf/guidance/default.yaml), or that of the former
+    rule (stability.yaml).
+    """
     return json.loads(FROZEN.read_text(encoding="utf-8"))
 
 
 def manifest(cfg: DictConfig, hashes: dict[str, str], command_line: str, seconds: float) -> dict:
-    """The origin of a result; `frozen`: its configuration, models and seed are those of the frozen study.
+    """The origin of a result; `frozen`: its configuration, models and seed are those of a frozen study.
 
     People who adapt take what they learn from one condition into the next, so all nine of the paper's must be in it.
     """
@@ -166,7 +170,7 @@ def manifest(cfg: DictConfig, hashes: dict[str, str], command_line: str, seconds
         "command": command_line,
         "seed": cfg.seed,
         "study_hash": digest,
-        "frozen": complete and (digest, cfg.seed) == (fixed["study_hash"], fixed["seed"]),
+        "frozen": complete and cfg.seed == fixed["seed"] and digest in fixed["studies"].values(),
         "models": hashes,
         "conditions": [
             {"name": s.name, "letter": s.letter, "label": s.label, "color": s.color, "against": list(s.against)}

@@ -166,10 +166,11 @@ def test_evaluate_all_nine(runs):
     assert not [path for path in folder.iterdir() if path.name.startswith(".") and path.is_file()]
 
 
-def test_the_shipped_defaults_are_the_frozen_study():
-    """Whoever changes a default, a model or a user changes the study, and has to say so in guidance/frozen.json."""
+@pytest.mark.parametrize("guidance", ["default", "stability"])
+def test_the_shipped_defaults_are_the_frozen_studies(guidance):
+    """Whoever changes a default, a model or a user changes a study, and has to say so in guidance/study/frozen.json."""
     with initialize_config_dir(str(CONF), version_base=None):
-        cfg = compose("evaluate")
+        cfg = compose("evaluate", overrides=[f"guidance={guidance}"])
     models = Models.load(cfg.models.league, cfg.models.generation, cfg.models.user, cfg.models.meta)
     facts = manifest(cfg, file_hashes(cfg, models), "", 0.0)
     assert facts["frozen"]

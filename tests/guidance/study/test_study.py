@@ -308,7 +308,7 @@ def test_a_run_is_frozen_only_with_all_nine_if_people_adapt(monkeypatch):
     def is_frozen(*overrides: str) -> bool:
         with initialize_config_dir(str(CONF), version_base="1.3"):
             cfg = compose("evaluate", overrides=list(overrides))
-        fixed = {"study_hash": study_hash(cfg, {}), "seed": cfg.seed}
+        fixed = {"studies": {"pilot": study_hash(cfg, {})}, "seed": cfg.seed}
         monkeypatch.setattr("guidance.study.setup.frozen_study", lambda: fixed)
         return manifest(cfg, {}, "", 0.0)["frozen"]
 
