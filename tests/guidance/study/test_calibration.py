@@ -92,7 +92,12 @@ def test_the_former_rule_leaves_the_guidance_as_configured(tmp_path, capsys):
 
 def test_the_pilot_chooses_one_of_its_candidates_and_resumes(tmp_path):
     few = ["pilot.people=[2,3]", "pilot.left=[2]", "pilot.search.stiffness=[50.0,100.0]", "pilot.search.limit=[3.0]"]
-    few += ["pilot.search.lookahead=[0.0,0.1]", "pilot.unseen=1", "pilot.demonstrations.ticks=600"]
+    few += [
+        "pilot.search.predictor=[now]",
+        "pilot.search.lookahead=[0.0,0.1]",
+        "pilot.unseen=1",
+        "pilot.demonstrations.ticks=600",
+    ]
     few += ["pilot.holding.seconds=1.0", "pilot.holding.wander=1.0", "pilot.together=20", "stability.lookaheads=[]"]
     result = calibrated(tmp_path, *few)
     standings = pd.read_csv(tmp_path / "candidates.csv")
