@@ -190,14 +190,17 @@ def without_figures() -> None:
 
 
 def test_a_sweep_over_the_nine_merges_into_the_report_of_one_run(monkeypatch, runs, tmp_path):
+    """Of people who do not adapt: the others come to each job as to their first condition."""
     monkeypatch.setenv("AIRHOCKEY_OUTPUTS", str(tmp_path / "outputs"))
-    smoke("guidance.evaluate", "-m", "condition=glob(*)", "seed=3", *models_of(runs), before=without_figures)
+    settings = "seed=3", "users.adaptation=off", *models_of(runs)
+    smoke("guidance.evaluate", *settings, f"hydra.run.dir={tmp_path}/whole", before=without_figures)
+    smoke("guidance.evaluate", "-m", "condition=glob(*)", *settings, before=without_figures)
     (sweep,) = (tmp_path / "outputs" / "evaluate").glob("*/*-sweep")
     assert len(list(sweep.glob("*/trials.csv"))) == 9
     done = start("guidance", "report", f"runs={sweep}", f"out={tmp_path}/merged", f"hydra.run.dir={tmp_path}/r")
     assert done.returncode == 0, done.stderr
     assert (tmp_path / "merged" / "report.html").is_file()
-    assert (tmp_path / "merged" / "tests.csv").read_bytes() == (runs / "evaluate" / "tests.csv").read_bytes()
+    assert (tmp_path / "merged" / "tests.csv").read_bytes() == (tmp_path / "whole" / "tests.csv").read_bytes()
 
 
 def complaint(capsys, tmp_path, name: str, *arguments: str) -> str:

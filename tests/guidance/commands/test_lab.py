@@ -25,7 +25,8 @@ from guidance.sessions.game import read_ticks
 from guidance.simulated_users.ratings import RATINGS
 from tests.processes import Command, start
 
-SMOKE = ["device=simulated", "window=false", "+preset=smoke"]
+# people who do not adapt: no game of theirs depends on another
+SMOKE = ["device=simulated", "window=false", "+preset=smoke", "users.adaptation=off"]
 
 
 def here(module: ModuleType, *arguments: str) -> tuple[int, str, str]:
@@ -46,10 +47,10 @@ def take_part(folder: Path, participant: str, *more: str) -> tuple[int, str, str
 
 @pytest.fixture(scope="module")
 def two(tmp_path_factory) -> Path:
-    """The records of two simulated people, who do not adapt: no game of theirs depends on another."""
+    """The records of two simulated people."""
     folder = tmp_path_factory.mktemp("lab")
     for label in ("S1", "S2"):
-        code, said, complained = take_part(folder, label, "users.adaptation=off")
+        code, said, complained = take_part(folder, label)
         assert code == 0, complained
         assert f"{label}: 9 of 9 games are played and rated." in said
     return folder

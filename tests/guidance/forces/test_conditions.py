@@ -168,7 +168,7 @@ def test_a_decorator_is_all_it_takes_to_add_a_guidance_that_sees_the_state():
         state = STATE.clone()
         state[:, 8] = 0.01
         force = condition.guidance(state, torch.zeros(3, 2), {}).force
-        assert torch.allclose(force, torch.tensor([50.0 * 0.075 * 0.01, 0.0]).expand(3, 2))
+        assert torch.allclose(force, torch.tensor([settings().spring.stiffness * 0.075 * 0.01, 0.0]).expand(3, 2))
     finally:
         del CONDITIONS._entries["push_to_puck"], GUIDANCES._entries["push_to_puck"]
 

@@ -2,7 +2,7 @@
 
 import math
 import random
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import pytest
 from hypothesis import given
@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 from airhockey_marl.experiment.command import CONF
 from airhockey_marl.experiment.registry import construct
 from guidance.haptics.safety import Safety, SafetyLimits, clip_norm
+from guidance.haptics.servo import TICK
 
 STEP = 0.001
 CENTER, STILL = (0.0, 0.0), (0.0, 0.0)
@@ -326,9 +327,11 @@ def test_only_the_soft_start_may_be_nothing(name):
         SafetyLimits(**{name: 0})
 
 
-def test_the_configuration_is_the_default_and_every_key_is_explained():
-    path = CONF / "safety" / "default.yaml"
-    assert construct(SafetyLimits, OmegaConf.load(path), "safety") == SafetyLimits()
+def test_the_configuration_lets_the_force_of_the_study_through_and_every_key_is_explained():
+    path, guidance = CONF / "safety" / "default.yaml", OmegaConf.load(CONF / "guidance" / "default.yaml")
+    limits = construct(SafetyLimits, OmegaConf.load(path), "safety")
+    assert limits.force == guidance.spring.limit and limits.slew * TICK == limits.force
+    assert replace(limits, force=3.0, slew=150.0) == SafetyLimits()  # which are more cautious
     lines = path.read_text(encoding="utf-8").splitlines()
     keys = [index for index, line in enumerate(lines) if not line.startswith("#")]
     assert len(keys) == len(asdict(SafetyLimits())) and all(lines[index - 1].startswith("#") for index in keys)

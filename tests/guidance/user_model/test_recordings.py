@@ -7,9 +7,10 @@ import numpy as np
 import pandas as pd
 import pytest
 import torch
+from omegaconf import OmegaConf
 
 from airhockey_marl.envs.physics import TableSpec
-from airhockey_marl.experiment.command import run
+from airhockey_marl.experiment.command import CONF, run
 from airhockey_marl.experiment.files import load_tensors, sha256
 from guidance.commands import adapt, meta_train
 from guidance.pretrained import FOLDER
@@ -332,7 +333,8 @@ def test_the_adapted_model_is_that_of_user_adaptation_and_is_a_user_model_of_eve
     models = pretrained.models()
     adapted = models.adapted_to([(data.observation[1, 0], data.action[1, 0])])[0].flatten_keys(".")
     league = ROOT / "airhockey_marl/pretrained/league.safetensors"
-    own = Models.load(league, -1, tmp_path / "run" / "user.safetensors", FOLDER / "now" / "meta.safetensors").user
+    meta = FOLDER / OmegaConf.load(CONF / "guidance" / "default.yaml").predictor / "meta.safetensors"
+    own = Models.load(league, -1, tmp_path / "run" / "user.safetensors", meta).user
     assert all(torch.allclose(tensor, adapted[name], atol=1e-6) for name, tensor in own.named_parameters())
 
 
