@@ -33,11 +33,13 @@ def template(folder: Path, name: str, **filters: Callable) -> Template:
 def number(value: float | None, digits: int = 2) -> str:
     """Format a number of any size in at most `WIDTH` characters, with a typographic minus; a dash for None and NaN.
 
-    It has `digits` decimals, fewer if it would be too long, and then an exponent.
+    It has `digits` decimals, fewer if it would be too long, and an exponent if these would not show what it is.
     """
     if value is None or math.isnan(value):
         return "–"
-    texts = ["∞"] if math.isinf(value) else [f"{round(value, n) + 0.0:.{n}f}" for n in range(digits, -1, -1)]
+    error = max(0.5 * 10.0**-digits, 0.05 * abs(value))
+    rounded = [(n, round(value, n) + 0.0) for n in range(digits, -1, -1)] if math.isfinite(value) else []
+    texts = [f"{near:.{n}f}" for n, near in rounded if abs(near - value) <= error] if rounded else ["∞"]
     mantissa, _, exponent = f"{abs(value):.1e}".partition("e")
     short = (text.strip("-") for text in texts if len(text.strip("-")) < WIDTH)
     text = next(short, f"{mantissa}e{int(exponent or 0)}")
