@@ -398,7 +398,8 @@ def test_vectors_are_never_torn(begin, log):
     assert wait_for(pushes_and_reads, interval=0.0)
     servo.close()
     done = forces(log)
-    assert len(done) > 200 and (done[:, 0] == done[:, 1]).all()
+    assert len(done) >= len(different) - 1  # the first may be that of no request yet
+    assert (done[:, 0] == done[:, 1]).all()
 
 
 def test_the_force_ramps_down_when_requests_stop(begin, log):
