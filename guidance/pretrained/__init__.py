@@ -1,7 +1,7 @@
 """The shipped user models, in a folder per predictor, beside the shipped league's last generation.
 
-`now` was trained to predict the action at the state's own time, as in the paper. `guidance.predictor` of a
-configuration chooses one.
+`now` was trained to predict the action at the state's own time, as in the paper; `ahead_0.1` that of 0.1 s later.
+`guidance.predictor` of a configuration chooses one.
 """
 
 from pathlib import Path

@@ -239,7 +239,7 @@ def test_ratings_are_likert_points_and_repeatable():
 
 @pytest.mark.slow
 def test_the_configuration_is_what_the_anchor_forces_say():
-    """All proxies but the withdrawn ones pass under every response to force; scales are as recomputed."""
+    """All proxies but the withdrawn ones pass under the primary response to force; scales are as recomputed."""
     advisors = load_advisors(ROOT / "guidance/pretrained/advisors.safetensors")
     people = np.concatenate([training_people(seed) for seed in range(4)])
     game = {"seconds": 120.0, "advisors": advisors}
