@@ -9,7 +9,7 @@ The opponent: the newest generation against which the nine training users win 35
 to 25 s.
 The pilot: T_lookahead and its reading, K, F_max, the user prediction model and the optimal action model with which
 pilot people win the largest share of rounds under OAHG and UPHG (UA), on average; by successive halving, see
-guidance/study/pilot.py. Of the predictors only the one that errs least at the horizon at which it is used is tried, and
+guidance/study/calibration. Only the predictor that errs least at the horizon at which it is used is tried, and
 only springs under which the nine can hold the hand still.
 T_low and T_high of UT (Eq. 5): so that the mean W_unc in unguided play of the nine is the paper's (section 6.1).
 Beside them the former rule for K: the largest that leaves 95 % of the nine hands damped. The state holds one's own
@@ -60,10 +60,12 @@ def check(cfg: DictConfig) -> None:
             raise InputError(f"pilot.{name} = {list(values)} must be whole numbers of at least 1")
     if pilot.people and len(pilot.left) != len(pilot.people) - 1:
         raise InputError(f"pilot.left = {list(pilot.left)} must be a number for each of pilot.people but the last")
-    for name, values in {"stability.lookaheads": cfg.stability.lookaheads}.items() | {
-        f"pilot.search.{name}": search[name] for name in ("lookahead", "stiffness", "limit")
-    }.items():
-        most = 1.0 if "lookahead" in name else 1e4
+    for name, values, most in (
+        ("stability.lookaheads", cfg.stability.lookaheads, 1.0),
+        ("pilot.search.lookahead", search.lookahead, 1.0),
+        ("pilot.search.stiffness", search.stiffness, 1e4),
+        ("pilot.search.limit", search.limit, 1e4),
+    ):
         if not all(isinstance(value, float) and 0 <= value <= most for value in values):
             raise InputError(f"{name} = {list(values)} must be numbers from 0.0 to {most}")
     for name, values in search.items():

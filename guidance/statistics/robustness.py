@@ -78,8 +78,8 @@ def effects_of(trials: pd.DataFrame) -> pd.DataFrame:
     """How each condition of one study differs from no guidance: a row per condition and metric.
 
     Returns:
-        `condition`, `metric`, `mean` over people, `difference` from NHG, and its effect size `dz`; of conditions that
-        were compared with nothing, and of disagreement, which NHG has none of, the last two are NaN.
+        `condition`, `metric`, `mean` over people, `difference` from NHG, and its effect size `dz`. The last two are NaN
+        without NHG in the study, and for disagreement, which NHG has none of.
     """
     rows = []
     for metric in METRICS:

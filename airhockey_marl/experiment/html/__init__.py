@@ -37,10 +37,11 @@ def number(value: float | None, digits: int = 2) -> str:
     """
     if value is None or math.isnan(value):
         return "–"
-    error = max(0.5 * 10.0**-digits, 0.05 * abs(value))
-    rounded = [(n, round(value, n) + 0.0) for n in range(digits, -1, -1)] if math.isfinite(value) else []
-    texts = [f"{near:.{n}f}" for n, near in rounded if abs(near - value) <= error] if rounded else ["∞"]
-    mantissa, _, exponent = f"{abs(value):.1e}".partition("e")
-    short = (text.strip("-") for text in texts if len(text.strip("-")) < WIDTH)
-    text = next(short, f"{mantissa}e{int(exponent or 0)}")
+    if math.isinf(value):
+        return "∞" if value > 0 else "−∞"
+    size, error = abs(value), max(0.5 * 10.0**-digits, 0.05 * abs(value))
+    mantissa, _, exponent = f"{size:.1e}".partition("e")
+    texts = (f"{round(size, n):.{n}f}" for n in range(digits, -1, -1))
+    short = (text for text in texts if len(text) < WIDTH and abs(float(text) - size) <= error)
+    text = next(short, f"{mantissa}e{int(exponent)}")
     return f"−{text}" if value < 0 and text.strip("0.") else text
